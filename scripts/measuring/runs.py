@@ -146,7 +146,7 @@ FUNCTIONS = {
     "linear solves": ("petsc.py:solve",),
     "test of the sets in each iteration": ("facet_solver.py:__call__",),
     "solves on patches": ("prediction.py:_settled_nearby",),
-    "conditions": ("auxiliary_space.py:update", "facet_system.py:apply"),
+    "conditions": ("auxiliary_space.py:update", "kept_factors.py:impose"),
 }
 """Functions of the program and of DOLFINx, by file and name; some contain others."""
 EVENTS = {
@@ -293,8 +293,8 @@ class LinearSolve:
             self._backend = HybridBackend(spaces, data)
         backend = self._backend
         backend.solve(conditions)  # under new sets it sets up the preconditioner
-        backend._system.x.set(0.0)
-        backend._earlier = EarlierSolutions()
+        backend.x.set(0.0)
+        backend._factors.earlier = EarlierSolutions()
 
         def solve() -> None:
             backend.renew(data)

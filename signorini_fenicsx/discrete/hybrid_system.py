@@ -219,17 +219,16 @@ def _with_reaction(
     )
 
 
-class HybridSystem(ABC):
+class TraceSystem(ABC):
     """A system for the traces, assembled once. On facets inside the domain its unknowns are jumps, see `Sides`.
 
     Attributes:
         matrix: Without conditions.
         load: Right side for x − lift, of each owned unknown.
-        tractions: The part of it that is given on facets.
+        sides: The unknowns on facets inside the domain.
     """
 
     load: Array
-    tractions: Array
 
     def __init__(self, traces: fem.FunctionSpace, dofs: npt.NDArray[np.int32], sides: Sides):
         """Eliminate and assemble (collective).
@@ -239,22 +238,59 @@ class HybridSystem(ABC):
             dofs: The blocks of each owned cell, shape (cells, d + 1).
             sides: Its unknowns on facets inside the domain.
         """
-        self._traces, self._dofs, self._sides = traces, dofs, sides
+        self._traces, self._dofs, self.sides = traces, dofs, sides
         self._numbers, self._size = traces.dofmap.index_map, traces.dofmap.index_map_bs
-        self._blocks = list[Eliminated]()
         self.matrix = self._assembled()
+
+    @abstractmethod
+    def _assembled(self) -> PETSc.Mat:
+        """Eliminate, and assemble the matrix (collective)."""
+
+    @property
+    @abstractmethod
+    def lift(self) -> Array:
+        """The values of û that are given, ghosts too."""
+
+    @abstractmethod
+    def recover(self, x: Array) -> tuple[Array, Array]:
+        """σ and u, from all unknowns of this rank, ghosts too, and the lift (collective)."""
+
+    @abstractmethod
+    def renew(self, data: Any) -> bool:
+        """Go on with other data (collective)."""
+
+    def sum_of(self, parts: Iterable[OfCells]) -> PETSc.Mat:
+        """The sum of matrices of cells, for the unknowns (collective)."""
+        return self.sides.of_unknowns(of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], parts))
+
+    def everywhere(self, owned: Array) -> Array:
+        """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
+        x = la.vector(self._numbers, self._size)
+        x.array[: len(owned)] = owned
+        x.scatter_forward()
+        return np.asarray(x.array)
+
+    def with_lift(self, x: PETSc.Vec) -> Array:
+        """The unknowns of this rank and the lift, ghosts too (collective)."""
+        return self.everywhere(x.array_r) + self.lift
+
+
+class HybridSystem(TraceSystem):
+    """A system for the traces of an element of order two, whose cells are eliminated block by block.
+
+    Attributes:
+        tractions: The part of the right side that is given on facets.
+    """
+
+    tractions: Array
 
     def _assembled(self) -> PETSc.Mat:
         """Eliminate, and assemble the matrix (collective)."""
-        return self._sum_of(self._parts())
-
-    def _sum_of(self, parts: Iterable[OfCells]) -> PETSc.Mat:
-        """The sum of matrices of cells, for the unknowns (collective)."""
-        return self._sides.of_unknowns(of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], parts))
+        self._blocks = list[Eliminated]()
+        return self.sum_of(self._parts())
 
     def assemble_again(self) -> None:
         """Eliminate and assemble with other cells of the same facets; the matrix gets other entries (collective)."""
-        self._blocks = []
         matrix = self._assembled()
         matrix.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         matrix.destroy()
@@ -277,10 +313,6 @@ class HybridSystem(ABC):
     def forces(self, sigma: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown q, from σ as `recover` gives it (collective)."""
 
-    @abstractmethod
-    def renew(self, data: Any) -> bool:
-        """Go on with other data; False if these have another matrix (collective)."""
-
     def eliminate_again(self) -> None:
         """Eliminate with other data and the same matrix (collective)."""
         self._blocks = []  # both would take twice the memory
@@ -292,7 +324,7 @@ class HybridSystem(ABC):
         for block in blocks:
             load.array[:] += np.bincount(self._unknowns(block.cells).ravel(), block.load.ravel(), len(load.array))
         load.scatter_reverse(la.InsertMode.add)
-        forces = self._sides.forces(load.array[: self._size * self._numbers.size_local])
+        forces = self.sides.forces(load.array[: self._size * self._numbers.size_local])
         if lift is not None:
             x, image = self.matrix.createVecs()
             x.array_w[:] = lift[: len(forces)]
@@ -310,7 +342,7 @@ class HybridSystem(ABC):
             with_f: Whether σ balances f; without it x is a correction.
             blocks: Cells after elimination with another right side; None for that of the data.
         """
-        x = self._sides.values(x)
+        x = self.sides.values(x)
 
         def parts() -> Iterator[tuple[Eliminated, Array, Array]]:
             for block in self._blocks if blocks is None else blocks:
@@ -334,13 +366,6 @@ class HybridSystem(ABC):
         blocks = list(self.eliminated(*loads))
         x = solve(self.load_of(blocks))
         return *self.recover(x, blocks=blocks), x
-
-    def everywhere(self, owned: Array) -> Array:
-        """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
-        x = la.vector(self._numbers, self._size)
-        x.array[: len(owned)] = owned
-        x.scatter_forward()
-        return np.asarray(x.array)
 
     def _unknowns(self, cells: npt.NDArray[np.int32]) -> Indices:
         """Unknowns of the facets of cells, shape (cells, n)."""

@@ -146,8 +146,12 @@ class MeshSpaces:
     @cached_property
     def site_kinds(self) -> Sites:
         """The facets of Γ_S, and the owned cells for laws in Ω (collective when first used)."""
-        measures = {"facet": self.facet_measure, "cell": self.cell_measures}
-        return Sites(*(Kind(name, len(e), np.arange(len(e)), e) for name, e in measures.items()))
+        facets, cells = self.facet_measure, self.cell_measures
+        unknown = cells_and_dofs(self.crouzeix_raviart, self.facets)[1]
+        return Sites(
+            Kind("facet", len(facets), np.arange(len(facets)), facets, unknown=unknown),
+            Kind("cell", len(cells), np.arange(len(cells)), cells, unknown=unknown[:0]),
+        )
 
     def note(self, sentence: str) -> None:
         """Add a notice, once."""

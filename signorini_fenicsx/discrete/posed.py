@@ -8,7 +8,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.vertex_laws import Springs
-from signorini_fenicsx.linear.kept_factors import Imposed
+from signorini_fenicsx.linear.constrained_matrix import Imposed
 
 
 class State(Enum):

@@ -1,11 +1,10 @@
-"""The backend of a hybrid system whose traces are linear on facets, with a condition per facet vertex.
+"""The backend of a system for traces, with a condition per site: a facet, or a vertex of one.
 
 Small systems are factorised, larger ones solved by CG with multigrid.
 """
 
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,28 +13,22 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate, PlainBackend
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.sites import Kind
-from signorini_fenicsx.discrete.hybrid_system import HybridSystem
-from signorini_fenicsx.discrete.linear_traces import LinearTraces
+from signorini_fenicsx.discrete.hybrid_system import HybridSystem, TraceSystem
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
-from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, DIRECT_UP_TO, of_facets
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix, Imposed
 from signorini_fenicsx.linear.corrections import corrected, stepped
 from signorini_fenicsx.linear.facet_solver import FacetSolver
-from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
+from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.linear.patch import Patch
-
-MOST_ITERATIONS = 400
-"""If CG needs more, it gives way to a factorisation."""
 
 
 class TraceBackend(PlainBackend):
-    """Solves under one condition per facet vertex, for the p and the flux of the kinds of sites in `site_kinds`.
+    """Solves under one condition per site, for the p and the flux of the kinds of sites in `site_kinds`.
 
     The laws of the first kind of sites are `VertexLaws`. Subclasses say what the fields are (`iterate`), and what else
     acts at the sites.
@@ -56,28 +49,26 @@ class TraceBackend(PlainBackend):
         conductance: With what β is compared, see `SiteConditions.clean`.
         exact_to: The jumps of fluxes beside the largest flux at which corrections end.
         corrected_to: The share of them that one correction by an iteration may leave.
+        corrects: Whether σ is corrected at all.
     """
 
     noun = ("vertex", "vertices")
-    cheap = False
     conductance = np.inf
     exact_to = TIE
     corrected_to = 0.0
-    spaces: LinearTraces
-    system: HybridSystem
+    corrects = True
+    spaces: Any
+    system: TraceSystem
     data: Any
     sizes: Sizes
 
     def __init__(
         self,
-        system: HybridSystem,
-        spaces: LinearTraces,
+        system: TraceSystem,
+        spaces: Any,
         fixed: npt.NDArray[np.int32],
-        tuning: Tuning | None,
         near: tuple[Indices, Indices],
-        *,
-        direct: bool = False,
-        with_normals: Callable[[], bool] = lambda: False,
+        choose: Callable[[ConstrainedMatrix], FacetSolver[Any]],
     ):
         """Choose the solver (collective).
 
@@ -85,10 +76,8 @@ class TraceBackend(PlainBackend):
             system: The system.
             spaces: Its spaces.
             fixed: Owned unknowns that are given under all conditions.
-            tuning: Has the size from which CG with multigrid is the default.
             near: What springs and shares couple, see `KeptFactors`.
-            direct: Whether to factorise in any case, without the user's options for the facet system.
-            with_normals: Whether the coarse space of multigrid has the normals, see `trace_multigrid` (collective).
+            choose: Makes the linear solver.
 
         Raises:
             InputError: If PETSc refuses an option.
@@ -98,24 +87,16 @@ class TraceBackend(PlainBackend):
         self.sites, self._unknowns, self.measure = len(sites), sites.unknown, sites.measure
         self._traces = slice(0, len(sites.unknown))  # sites in cells have no unknown
         self._shares, self._signs = sites.measure[self._traces], sites.sign[self._traces]
-        operator = ConstrainedMatrix(system.matrix, PETSc.Mat.Option.SPD)
-        self._operator, self.dofs = operator, operator.matrix.getSize()[0]
-        large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
-        coarse = partial(of_facets, spaces, with_normals(), operator) if large else None
-        prefix = "certificate_" if direct else "facet_"
-        self._solver = FacetSolver(operator.matrix, prefix, DEFAULTS[spaces.dim], coarse, MOST_ITERATIONS)
-        self._fixed, (self._near, self._pressing) = fixed, near
-        self._factors = self._none_kept()
+        self._operator = operator = ConstrainedMatrix(system.matrix, PETSc.Mat.Option.SPD)
+        self.dofs: int = operator.matrix.getSize()[0]
+        self._solver, self._near, self._pressing = choose(operator), *near
+        dim = spaces.mesh.topology.dim
+        self._factors = KeptFactors(self._solver, operator, fixed, self._unknowns, dim, *near)
         self._x, self._held = operator.matrix.createVecs()
         self._x.set(0.0)
         self._last: Posed | None = None
         self._state, self._iterations = State.START, 0
         self.stiffness = system.matrix.getDiagonal().array_r[self._unknowns] / self._shares
-
-    def _none_kept(self) -> KeptFactors:
-        """What will keep a factorisation of the present matrix (collective)."""
-        near = self._near, self._pressing
-        return KeptFactors(self._solver, self._operator, self._fixed, self._unknowns, self.spaces.dim, *near)
 
     @abstractmethod
     def _take(self, data: Any) -> None:
@@ -131,6 +112,11 @@ class TraceBackend(PlainBackend):
             self._factors.earlier.add(self._x)
         self._factors.serve_more()
         return True
+
+    @property
+    def cheap(self) -> bool:
+        """Whether traces cost little beside a solve, see `Inexact.cheap`."""
+        return False
 
     @property
     def by_traces(self) -> bool:
@@ -224,7 +210,7 @@ class TraceBackend(PlainBackend):
             LinearSolveFailure: If the linear solver fails.
         """
         self._solve(conditions)
-        return self._recovered(conditions, refine=self.to_the_end or not self.iterates)
+        return self.recovered(conditions, refine=self.corrects and (self.to_the_end or not self.iterates))
 
     def leave(self, share: float) -> None:
         """Iterative solves leave this share of what there was at their start from now on; with 0 they go to the end."""
@@ -255,15 +241,15 @@ class TraceBackend(PlainBackend):
 
     def reached(self, conditions: SiteConditions) -> Iterate | None:
         """The iterate of the last solve, see `Inexact.reached`; no refinement, as other sets follow (collective)."""
-        return self._recovered(conditions, refine=False) if self.iterates else None
+        return self.recovered(conditions, refine=False) if self.iterates else None
 
     def solve_near(
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
         """Solves as `Inexact.solve_near` says; None by a factorisation, or with laws in cells (collective)."""
-        if not (self.iterates and self.by_traces):
+        if not self.iterates or (around := self.around(sites)) is None:
             return None
-        patch = Patch(self._operator.matrix, self._unknowns[sites], layers)
+        patch = Patch(self._operator.matrix, around, layers)
 
         def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
             posed, self._state = self.posed(conditions), State.START
@@ -274,6 +260,10 @@ class TraceBackend(PlainBackend):
             return self._pairs(self._x, conditions)
 
         return None if patch.size > share * self.dofs else solve_on_patch
+
+    def around(self, sites: Mask) -> npt.NDArray[np.int32] | None:
+        """The owned unknowns of these sites; None where sites are in cells."""
+        return self._unknowns[sites].astype(np.int32) if self.by_traces else None
 
     def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
@@ -358,14 +348,12 @@ class TraceBackend(PlainBackend):
             return np.asarray(self._signs * traces[1] / self._shares)
         return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
-    def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
-        sigma, u = self.system.recover(self.system.everywhere(self._x.array_r) + self.data.lift)
-        if refine:
-            sigma, u = self._refined(sigma, u)
-        self.sizes.take(u, sigma)
-        return self.iterate(conditions, sigma, u)
+    def recovered(self, conditions: SiteConditions, *, refine: bool) -> Iterate:
+        """The iterate of x, with corrections if these are asked for (collective)."""
+        fields = self.system.recover(self.system.with_lift(self._x))
+        return self.iterate(conditions, *(self._refined(*fields) if refine else fields))
 
-    def _refined(self, sigma: Array, u: Array) -> tuple[Array, ...]:
+    def _refined(self, sigma: Array, u: Array) -> tuple[Array, Array]:
         """Correct σ while the jumps of its fluxes might decide about sets and become smaller (collective).
 
         The σ that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much less
@@ -373,12 +361,13 @@ class TraceBackend(PlainBackend):
         those without them: a correction is a step of the proximal point method, after which they pull no more.
         """
         assert self._last is not None
-        posed, change, forces = self._last, self._x.duplicate(), sigma
+        assert isinstance(self.system, HybridSystem)
+        system, posed, change, forces = self.system, self._last, self._x.duplicate(), sigma
 
         def left_by(fields: list[Array]) -> Array:
             nonlocal forces
-            self._x.array_w[:], forces = fields[0], self.system.forces(fields[1])
-            left = self.system.tractions - forces
+            self._x.array_w[:], forces = fields[0], system.forces(fields[1])
+            left = system.tractions - forces
             self.left_at_sites(posed, self._x, left)
             left[self._factors.essential(posed.conditions.kind == Condition.ZERO_TRACE)] = 0.0
             return left
@@ -388,7 +377,7 @@ class TraceBackend(PlainBackend):
             before, self._solver.share = self._solver.share, self.corrected_to
             self._factors.solve_by_any(left, change, posed.imposed)
             self._solver.share = before
-            return [change.array_r.copy(), *self.system.recover(self.system.everywhere(change.array_r), with_f=False)]
+            return [change.array_r.copy(), *system.recover(system.everywhere(change.array_r), with_f=False)]
 
         def enough(left: Array) -> bool:
             size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
@@ -396,7 +385,8 @@ class TraceBackend(PlainBackend):
 
         fields = [self._x.array_r.copy(), sigma, u]
         by = stepped if posed.loose else corrected
-        return tuple(by(self.comm, fields, left_by, correction, enough)[1:])
+        _, sigma, u = by(self.comm, fields, left_by, correction, enough)
+        return sigma, u
 
     def scales(self, _iterate: Any) -> tuple[Array, Array]:
         """The largest |u| and the largest |σ|, see `Backend.scales`."""

@@ -6,6 +6,8 @@ Bernardi and Raugel, volume passes from cell to cell, and the iterations hardly 
 a space, so its problem, with a seventh of the unknowns in space, is factorised.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -13,8 +15,10 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.linear_traces import LinearTraces, facet_normals, node_ranks
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
 from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices
 
@@ -43,6 +47,8 @@ SHIFT = 1e-10
 DIRECT_UP_TO = {2: 500_000, 3: 60_000}
 """For each dimension, largest number of unknowns that are factorised; in space a factorisation fills in far more."""
 
+MOST_ITERATIONS = 400
+"""If CG needs more, it gives way to a factorisation."""
 
 BLOCKS = "vpbjacobi"
 """Jacobi's method by blocks; pbjacobi keeps its first ones."""
@@ -156,13 +162,37 @@ class TraceCoarse:
         return PETSc.NullSpace().createRigidBody(coordinates)
 
 
-def of_facets(spaces: LinearTraces, normals: bool, operator: ConstrainedMatrix, pc: PETSc.PC) -> TraceCoarse:
-    """Make a preconditioner a multigrid of the facet system, perhaps with normals in the coarse space (collective)."""
-    size = spaces.traces.dofmap.index_map_bs
-    space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (size // spaces.dim,) if size > spaces.dim else ()))
-    interpolation = trace_interpolation(spaces, space, normals=normals)
-    in_blocks = operator.in_blocks()
-    return TraceCoarse(operator.matrix, size, space, interpolation, pc, normals=normals, in_blocks=in_blocks)
+def facet_solver(
+    spaces: LinearTraces,
+    tuning: Tuning | None,
+    operator: ConstrainedMatrix,
+    *,
+    direct: bool = False,
+    with_normals: Callable[[], bool] = lambda: False,
+) -> FacetSolver[TraceCoarse]:
+    """The linear solver of a system of linear traces: a factorisation, or CG with multigrid (collective).
+
+    Args:
+        spaces: The spaces.
+        tuning: Has the size from which CG with multigrid is the default.
+        operator: The system.
+        direct: Whether to factorise in any case, without the user's options for the facet system.
+        with_normals: Whether the coarse space has the normals (collective).
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    size, dim, dofs = spaces.traces.dofmap.index_map_bs, spaces.dim, operator.matrix.getSize()[0]
+
+    def coarse(pc: PETSc.PC) -> TraceCoarse:
+        space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (size // dim,) if size > dim else ()))
+        normals, in_blocks = with_normals(), operator.in_blocks()
+        interpolation = trace_interpolation(spaces, space, normals=normals)
+        return TraceCoarse(operator.matrix, size, space, interpolation, pc, normals=normals, in_blocks=in_blocks)
+
+    large = not direct and (tuning or Tuning()).is_large(dofs, DIRECT_UP_TO[dim])
+    prefix = "certificate_" if direct else "facet_"
+    return FacetSolver(operator.matrix, prefix, DEFAULTS[dim], coarse if large else None, MOST_ITERATIONS)
 
 
 def trace_interpolation(spaces: LinearTraces, displacements: fem.FunctionSpace, *, normals: bool) -> PETSc.Mat:

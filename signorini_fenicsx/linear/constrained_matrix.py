@@ -1,10 +1,40 @@
 """An assembled matrix with unknowns that are fixed in one step and free in another; its sparsity pattern stays."""
 
+from dataclasses import dataclass, replace
+from typing import Self
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Mask
+
+
+@dataclass(frozen=True)
+class Imposed:
+    """What is imposed at the sites: 0, or the load, with springs.
+
+    Attributes:
+        held: Mask of the sites with 0.
+        springs: Stiffness between each other site and those near it, shape (sites, near).
+        shares: What share of the force at another site each one has added to its own, shape (sites,).
+    """
+
+    held: Mask
+    springs: Array
+    shares: Array
+
+    @property
+    def symmetric(self) -> Self:
+        """What is imposed without the shares."""
+        return replace(self, shares=np.zeros_like(self.shares))
+
+    def differ(self, other: "Imposed") -> Mask:
+        """The sites at which another thing is imposed; springs at sites that are held do nothing."""
+        free = (self.springs != other.springs).any(axis=1) | (self.shares != other.shares)
+        return np.asarray((self.held != other.held) | (~self.held & free))
 
 
 class ConstrainedMatrix:

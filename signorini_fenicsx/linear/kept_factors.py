@@ -13,9 +13,8 @@ changed before, and the solution needs one, by the factors. The d_j of sites tha
 for together, which costs a third of a solve for each, or less.
 """
 
-from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +22,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix, Imposed
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import TO_THE_END, FacetSolver
 from signorini_fenicsx.linear.gmres import DIRECTIONS, gmres
@@ -31,6 +30,8 @@ from signorini_fenicsx.linear.patch import Patch
 
 MOST = {2: 40, 3: 200}
 """For each dimension, where more sites change for the first time a factorisation costs less; in space it costs more."""
+FACTORISATION = 10
+"""About as many solves take as long as a factorisation."""
 WORTH = 20
 """So many steps of GMRES by the factors of another set cost less than a factorisation."""
 RESTART = 50
@@ -41,44 +42,20 @@ MOST_KEPT = 1000
 """So many sites at most have changed; their equations are on every rank."""
 
 
-@dataclass(frozen=True)
-class Imposed:
-    """What is imposed at the sites: 0, or the load, with springs.
-
-    Attributes:
-        held: Mask of the sites with 0.
-        springs: Stiffness between each other site and those near it, shape (sites, near).
-        shares: What share of the force at another site each one has added to its own, shape (sites,).
-    """
-
-    held: Mask
-    springs: Array
-    shares: Array
-
-    @classmethod
-    def alone(cls, held: Mask, springs: Array) -> Self:
-        """A spring per site and no shares."""
-        return cls(held, springs[:, None], np.zeros(len(held)))
-
-    @property
-    def symmetric(self) -> Self:
-        """What is imposed without the shares."""
-        return replace(self, shares=np.zeros_like(self.shares))
-
-    def differ(self, other: "Imposed") -> Mask:
-        """The sites at which another thing is imposed; springs at sites that are held do nothing."""
-        free = (self.springs != other.springs).any(axis=1) | (self.shares != other.shares)
-        return np.asarray((self.held != other.held) | (~self.held & free))
-
-
 class KeptFactors:
     """Solves with 0 at some sites, by the last factorisation if there is one that serves.
 
     Attributes:
         earlier: Solutions of earlier problems, from which iterations may start.
+        by_gmres: Whether GMRES by factors of another set may take the place of a factorisation.
+        keeps: Whether a factorisation may serve other sets; if not, none is kept.
         repeated: How often one set that is not that of the factorisation was solved for in a row, which takes two
             solves each time.
     """
+
+    keeps = True
+    by_gmres = True
+    repeated = 0
 
     def __init__(
         self,
@@ -87,8 +64,8 @@ class KeptFactors:
         fixed: npt.NDArray[np.int32],
         sites: npt.NDArray[np.int32],
         dim: int,
-        near: Indices | None = None,
-        pressing: Indices | None = None,
+        near: Indices,
+        pressing: Indices,
     ):
         """Keep nothing yet (collective).
 
@@ -98,13 +75,12 @@ class KeptFactors:
             fixed: Owned unknowns that are fixed under all sets.
             sites: Owned unknown of each site.
             dim: Dimension of the mesh.
-            near: The sites to which springs of each site may go, shape (sites, near); None for itself alone.
-            pressing: The site of which each one may have a share of the force; None for itself.
+            near: The sites to which springs of each site may go, shape (sites, near).
+            pressing: The site of which each one may have a share of the force.
         """
         self._solver, self._operator, self._natural = solver, operator, operator.natural
         self._fixed, self._unknowns = fixed, sites
-        rows = np.arange(len(sites))
-        self._near, self._pressing = rows[:, None] if near is None else near, rows if pressing is None else pressing
+        self._near, self._pressing = near, pressing
         self._comm: MPI.Comm = self._natural.getComm().tompi4py()
         self._x, self._b = self._natural.createVecs()
         self._w = self._x.duplicate()
@@ -123,6 +99,8 @@ class KeptFactors:
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
+        if self.repeated > FACTORISATION:
+            self.forget()
         return (1, True) if self.solve(load, x, imposed) else self.solve_anew(load, x, imposed)
 
     def solve_anew(self, load: Array, x: PETSc.Vec, imposed: Imposed) -> tuple[int, bool]:
@@ -153,7 +131,7 @@ class KeptFactors:
             self.earlier.combine(self._operator.matrix, self._b, x, essential)
             self._solver.solve(self._b, x)
             ended = self._solver.ksp.getIterationNumber(), self._solver.converged or self._solver.factorises
-        if self._solver.factorises:
+        if self._solver.factorises and self.keeps:
             self.keep(imposed.symmetric)
         return ended
 
@@ -171,7 +149,7 @@ class KeptFactors:
 
     def _is_near(self, imposed: Imposed) -> bool:
         """Whether GMRES may come to the end sooner by factors that are kept than by new ones (collective)."""
-        if self._kept is None:
+        if self._kept is None or not self.by_gmres:
             return False
         moved = self._comm.allreduce(int(np.count_nonzero(imposed.held != self._kept.held)))  # one step for each
         return bool(moved < WORTH / 2)
@@ -274,6 +252,13 @@ class KeptFactors:
     def forget(self) -> None:
         """The matrix of the solver is another one."""
         self._kept = None
+
+    def take_natural(self) -> None:
+        """K has other entries; earlier solutions stay."""
+        self._kept = self._present = None
+        self._most = self._more
+        for name in ("_rows", "_diagonal"):
+            vars(self).pop(name, None)
 
     def keep(self, imposed: Imposed) -> None:
         """Keep the factorisation that the solver has just made, with this imposed, which has no shares."""

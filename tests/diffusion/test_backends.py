@@ -27,7 +27,6 @@ from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 from signorini_fenicsx.physics.diffusion.solve import hybrid
-from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
@@ -90,13 +89,12 @@ def test_traces_are_those_of_the_recovered_flux(name: str):
     """For any x, any conditions, with cu and with jumps: rows of the matrix and the recovered flux give the same."""
     case = load_case(name).with_values({"solve.h": 0.3})
     spaces = solve_case(case, COMM).spaces
-    system = FacetSystem(spaces, project_data(spaces, case.posed(2)), Tuning())
+    backend = HybridBackend(spaces, project_data(spaces, case.posed(2)))
     rng = np.random.default_rng(COMM.rank)
     conditions = SiteConditions(rng.integers(0, 2, len(spaces.facets)).astype(np.int8))
-    system.apply(conditions)
-    system.x.array_w[:] = rng.uniform(-1, 1, system.x.getLocalSize())
-    p, flux = system.traces(system.x, conditions)
-    expected = system.recover(conditions, 0)
+    backend.x.array_w[:] = rng.uniform(-1, 1, backend.x.getLocalSize())
+    p, flux = backend._pairs(backend.x, conditions)
+    expected = backend.recovered(conditions, refine=False)
     np.testing.assert_array_equal(p, expected.p)
     np.testing.assert_allclose(flux, expected.flux, atol=1e-11)
 

@@ -16,11 +16,10 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
-from signorini_fenicsx.linear.patch import Patch
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
-from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 
 COMM = MPI.COMM_WORLD
 ALWAYS = Tuning(direct_up_to=0, predict_from=0, coarsen_from=1000)
@@ -81,25 +80,22 @@ def test_patch_is_solved_and_nothing_else_changes():
     case = load_case("example2").with_values({"solve.h": 1 / 16})
     domain = mesh_case(case, COMM)
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    system = FacetSystem(spaces, project_data(spaces, case.posed(2)), Tuning())
+    backend = HybridBackend(spaces, project_data(spaces, case.posed(2)), multigrid=True)
     last = COMM.allreduce(COMM.rank if len(spaces.facets) > 0 else -1, MPI.MAX)
-    in_contact = np.zeros(len(spaces.facets), dtype=np.int8)
-    if COMM.rank == last:
-        in_contact[:2] = Condition.ZERO_TRACE
-    system.x.set(1.0)
-    system.apply(SiteConditions(in_contact))
-    before = system.x.array_r.copy()
-    patch = Patch(system.matrix, system.trace_dofs[in_contact == Condition.ZERO_TRACE], layers=6)
-    patch.solve(system.matrix, system.b, system.x)
-    changed = system.x.array_r != before
-    assert patch.size < system.dofs / 4
+    near = np.zeros(len(spaces.facets), dtype=bool)
+    near[:2] = COMM.rank == last
+    conditions = SiteConditions(near.astype(np.int8) * np.int8(Condition.ZERO_TRACE))
+    backend.x.set(1.0)
+    before = backend.x.array_r.copy()
+    solve = backend.solve_near(near, 6, 0.25)
+    assert solve is not None
+    solve(conditions)
+    changed = backend.x.array_r != before
     assert (np.count_nonzero(changed) > 20) == (COMM.rank == last)
-    residual = system.matrix.createVecLeft()
-    system.matrix.mult(system.x, residual)
-    residual.aypx(-1.0, system.b)
     if COMM.size == 1:
-        assert np.count_nonzero(changed) <= patch.size - 2
-        assert np.abs(residual.array_r[changed]).max() < 1e-12
+        left = backend._factors.left(backend.system.load, backend.x, backend.posed(conditions).imposed)
+        assert np.abs(left[changed]).max() < 1e-12
+        assert backend.solve_near(near, 6, np.count_nonzero(changed) / backend.dofs / 2) is None
 
 
 @pytest.mark.slow

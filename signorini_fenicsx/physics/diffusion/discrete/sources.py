@@ -6,7 +6,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, inverses
-from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values
+from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.discrete import cell_shapes
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
@@ -38,15 +38,9 @@ class Sources:
         b.x.array[:] = data.f_h.x.array * np.divide(self.s.x.array, c, out=np.ones_like(c), where=c > 0)
         return replace(self, b=b)
 
-    def at(self, u_cr: fem.Function) -> fem.Function:
-        """y_T for a function with up-to-date ghost values; b itself without s."""
-        if self.s is None:
-            return self.b
-        return function_of(self.b.function_space, self.values(u_cr)[1])
-
-    def values(self, u_cr: fem.Function) -> tuple[Array, Array]:
-        """u_T = ū_T + m_T y_T and y_T per owned cell, for a function with up-to-date ghost values."""
-        means, y = _means(u_cr) + self.jumps, owned_values(self.b)
+    def values(self, traces: Array) -> tuple[Array, Array]:
+        """u_T = ū_T + m_T y_T and y_T per owned cell, from u_CR on their facets."""
+        means, y = np.einsum("cf->c", traces) / traces.shape[1] + self.jumps, owned_values(self.b)
         if self.s is not None:
             y = y - owned_values(self.s) * means
         return means + self.moments * y, y
@@ -76,9 +70,3 @@ def mean_moments(spaces: Spaces, data: Data) -> Array:
     else:
         squared = cell_shapes.squared_arms(spaces.mesh, inverses(data.matrices(spaces)))
     return cell_shapes.mean_moments(squared) / spaces.mesh.geometry.dim**2
-
-
-def _means(u_cr: fem.Function) -> Array:
-    """ū_T on each owned cell."""
-    of_cells = u_cr.x.array[cell_dofs(u_cr.function_space)]
-    return np.asarray(np.einsum("cf->c", of_cells) / of_cells.shape[1])

@@ -13,8 +13,8 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Indices
-from signorini_fenicsx.contact.chains import Condition, SiteConditions
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.mesh_spaces import owned_on_facets
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.two_level import TwoLevel, choose_smoother, facet_vertices
@@ -100,12 +100,19 @@ class AuxiliarySpace:
     system has jumps, P1 has them too.
     """
 
-    def __init__(self, spaces: Spaces, system: FacetSystem, pc: PETSc.PC):
-        """Make the interpolation and the P1 operator, and make `pc` a two-level multigrid (collective)."""
-        self._spaces, self._system = spaces, system
+    def __init__(self, spaces: Spaces, system: FacetSystem, operator: ConstrainedMatrix, pc: PETSc.PC):
+        """Make the interpolation and the P1 operator, and make `pc` a two-level multigrid (collective).
+
+        Args:
+            spaces: The discrete spaces.
+            system: The facet system.
+            operator: Its matrix, without and under conditions.
+            pc: The preconditioner.
+        """
+        self._spaces, self._system, self._facets = spaces, system, operator
         self._space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
         self._jumps = Jumps.of(self._space, spaces)
-        self._interpolation = facet_means(self._space, system.space)
+        self._interpolation = facet_means(self._space, spaces.crouzeix_raviart)
         to_jumps = system.sides.inverse()
         if self._jumps.basis is not None and to_jumps is not None:
             self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis[0]))
@@ -119,21 +126,21 @@ class AuxiliarySpace:
         if self._jumps.basis is None:
             use_coarser_meshes(self._levels.coarse.getPC(), self._space, spaces.domain)
 
-    def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
+    def update(self, _fixed: npt.NDArray[np.int32], essential: npt.NDArray[np.int32]) -> None:
         """Take over new facet conditions, which the system has (collective).
 
         Args:
-            conditions: Conditions of the Γ_S facets.
-            essential: Owned Crouzeix-Raviart unknowns that are fixed.
+            _fixed: Owned Crouzeix-Raviart unknowns that are fixed under all conditions.
+            essential: Those fixed under these.
         """
         if not self._has_hierarchy:
             self._build_hierarchy()
         if self._system.follows_cells:
             self._galerkin().copy(self._operator.natural, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        held = owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
-        held = np.setdiff1d(held, self._jumps.tips)
-        fixed = np.union1d(self._dirichlet, held).astype(np.int32)
-        self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
+        held = np.isin(self._spaces.site_kinds["facet"].unknown, essential)
+        vertices = np.setdiff1d(owned_on_facets(self._space, self._spaces.facets[held]), self._jumps.tips)
+        fixed = np.union1d(self._dirichlet, vertices).astype(np.int32)
+        self._operator.impose(fixed, self._all, self._lumped_springs(held))
         self._levels.leave_out(essential, fixed)
 
     def _build_hierarchy(self) -> None:
@@ -150,19 +157,20 @@ class AuxiliarySpace:
 
     def _galerkin(self) -> PETSc.Mat:
         """The operator without conditions on facets, without what PETSc keeps for another product (collective)."""
-        product = self._system.natural.ptap(self._interpolation)
+        product = self._system.matrix.ptap(self._interpolation)
         operator = product.duplicate(copy=True)
         product.destroy()
         return operator
 
-    def _lumped_robin(self, conditions: SiteConditions) -> npt.NDArray[np.float64]:
-        robin = conditions.kind == Condition.ROBIN
+    def _lumped_springs(self, held: Mask) -> Array:
+        """The springs of the facets of Γ_S that are not held, shared out to their vertices (collective)."""
+        unknown = self._spaces.site_kinds["facet"].unknown[~held]
+        stiff, natural = (each.getDiagonal().array_r[unknown] for each in (self._facets.matrix, self._system.matrix))
         lumped, of_facets = self._interpolation.createVecs()
         of_facets.set(0.0)
-        added = conditions.beta_where(robin) * self._spaces.facet_measure[robin]
-        of_facets.array_w[self._system.trace_dofs[robin]] = added
+        of_facets.array_w[unknown] = np.where(stiff > natural * (1 + ROUNDING), stiff - natural, 0.0)
         self._interpolation.multTranspose(of_facets, lumped)
-        return lumped.array_r
+        return np.asarray(lumped.array_r)
 
 
 def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc.Mat:

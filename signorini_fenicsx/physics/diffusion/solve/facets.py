@@ -1,6 +1,5 @@
 """What the backends have in common whose sites are the facets of Γ_S and, with laws in Ω, the cells behind them."""
 
-from abc import ABC, abstractmethod
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,7 +13,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_nodes, owned_values
 from signorini_fenicsx.contact.backend import Iterate, PlainBackend
-from signorini_fenicsx.contact.chains import Chains, SiteConditions
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_product
@@ -23,7 +22,7 @@ from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 
-class FacetBackend(PlainBackend, ABC):
+class FacetBackend(PlainBackend):
     """A `Backend` for RT0/P0 with a condition per facet of Γ_S; subclasses add `name`, `dofs`, `solver` and `solve`.
 
     With laws in Ω there is a condition per owned cell as well, behind those of the facets.
@@ -56,14 +55,6 @@ class FacetBackend(PlainBackend, ABC):
     def chains(self) -> Chains:
         """The law of each site."""
         return self.data.chains
-
-    @abstractmethod
-    def solver(self) -> str:
-        """Name of the linear solver in use, after the user's PETSc options."""
-
-    @abstractmethod
-    def solve(self, conditions: SiteConditions) -> Iterate:
-        """Solve as `Backend.solve` says (collective)."""
 
     @cached_property
     def change(self) -> FieldChange:

@@ -39,6 +39,11 @@ class FluxSystem(HybridSystem):
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
         self._take_loads()
 
+    @property
+    def lift(self) -> Array:
+        """See `TraceSystem.lift`."""
+        return self._data.lift
+
     def _take_loads(self) -> None:
         """Find the right side (collective)."""
         self.tractions = self._data.load
@@ -132,12 +137,16 @@ class FluxSystem(HybridSystem):
 
     def on_cells(self, x: PETSc.Vec) -> Array:
         """û at the vertices of the facets of the owned cells, shape (cells, (d + 1) d) (collective)."""
-        unknowns = self._sides.values(self.everywhere(x.array_r) + self._data.lift)
+        unknowns = self.sides.values(self.with_lift(x))
         values = unknowns[self._unknowns(np.arange(len(self._dofs), dtype=np.int32))]
         for facets, matrices in self.spaces.frames:
             places = facets.cells[:, None], facets.local[:, None] * self.spaces.dim + np.arange(self.spaces.dim)
             values[places] = np.einsum("fij,fj->fi", matrices, values[places])
         return np.asarray(values)
+
+    def in_cells(self, x: PETSc.Vec) -> tuple[Array, Array]:
+        """The means of u by the hats less their references, and −s at the vertices of cells with laws (collective)."""
+        return self._data.in_cells(self.spaces, *self.recover(self.with_lift(x)))
 
     def by_kappa(self, x: PETSc.Vec) -> Array:
         """The derivatives of ⟨σ·n, q⟩ on the facets of each cell by κ at its vertices, shape (cells, n, d + 1).
@@ -145,7 +154,7 @@ class FluxSystem(HybridSystem):
         Collective. q has a value 1 at a vertex of a facet. They are what (κ⁻²σ φ_v, τ) on the right gives.
         """
         spaces, data, count = self.spaces, self._data, self.spaces.dim + 1
-        sigma, _ = self.recover(self.everywhere(x.array_r) + data.lift)
+        sigma, _ = self.recover(self.with_lift(x))
         functionals = data.by_kappa(spaces, sigma)
         none = np.zeros((len(sigma), count))
         found = np.zeros((len(sigma), count * spaces.dim, count))
@@ -160,7 +169,7 @@ class FluxSystem(HybridSystem):
         """The sum of matrices of the owned cells, from û at the vertices of their facets to ⟨σ·n, q⟩ (collective)."""
         transposed = matrices.transpose(0, 2, 1).copy()
         self.spaces.to_unknowns(transposed, np.arange(len(matrices), dtype=np.int32))
-        return self._sum_of([(self._dofs, transposed.transpose(0, 2, 1))])
+        return self.sum_of([(self._dofs, transposed.transpose(0, 2, 1))])
 
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
         """σ at the nodes and u at the vertices of the cells, shapes (cells, nodes, d) and (cells, d + 1)."""

@@ -1,37 +1,32 @@
 """The backend of RT1: the hybrid system with a condition per facet vertex of Γ_S, and per vertex of a cell in Ω."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Inexact, Iterate, PlainBackend
+from signorini_fenicsx.contact.backend import Inexact, PlainBackend
 from signorini_fenicsx.contact.chains import Chains, SiteConditions
 from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.posed import State
 from signorini_fenicsx.discrete.sizes import Sizes
-from signorini_fenicsx.discrete.trace_backend import TraceBackend
-from signorini_fenicsx.discrete.trace_multigrid import DIRECT_UP_TO
+from signorini_fenicsx.discrete.trace_multigrid import facet_solver
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.solve.flux_backend import FluxBackend
 from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
-from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent, off_chains
 
 
 class VertexBackend(PlainBackend):
@@ -100,7 +95,7 @@ class VertexBackend(PlainBackend):
         return self.spaces.places
 
 
-class LinearBackend(VertexBackend, TraceBackend):
+class LinearBackend(VertexBackend, FluxBackend):
     """Solves under one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
 
     The flux is the value of σ·n − Π₁q_S at the vertex. With laws in Ω the vertices of cells follow, with the mean
@@ -111,8 +106,6 @@ class LinearBackend(VertexBackend, TraceBackend):
     spaces: LinearSpaces
     system: FluxSystem
     data: LinearData
-    tangent: Tangent | None = None
-    solves: int = 0
 
     def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning | None = None):
         """Assemble and choose the solver (collective).
@@ -127,11 +120,9 @@ class LinearBackend(VertexBackend, TraceBackend):
         """
         sites = np.arange(len(spaces.site_kinds.unknown))
         near = sites.reshape(-1, spaces.dim).repeat(spaces.dim, axis=0)
-        super().__init__(FluxSystem(spaces, data), spaces, data.fixed, tuning, (near, sites))
-        self.precise, self._cell = self._corrected_to_rounding, spaces.site_kinds["cell"]
-        self._in_cells: SiteConditions | None = None
-        if data.cells_at is None:
-            self.sites, self.measure = len(sites), self._shares
+        choose = partial(facet_solver, spaces, tuning)
+        FluxBackend.__init__(self, FluxSystem(spaces, data), spaces, data, data.fixed, (near, sites), choose)
+        self.precise = self._corrected_to_rounding
         self._take(data)
 
     def _corrected_to_rounding(self) -> Self:
@@ -149,83 +140,7 @@ class LinearBackend(VertexBackend, TraceBackend):
     @property
     def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
         """The kinds of sites that have `VertexLaws`, with these."""
-        return super().with_laws + ([] if self.data.cells_at is None else [(self._cell, self.data.cells_at)])
-
-    @property
-    def by_traces(self) -> bool:
-        """Whether there are no laws in Ω."""
-        return self.data.cells_at is None
-
-    def solve(self, conditions: SiteConditions) -> Iterate:
-        """Solve, see `TraceBackend.solve`, or make a step of `tangent` (collective)."""
-        if self.tangent is not None:
-            self.tangent.step(conditions)
-            return self._recovered(conditions, refine=False)
-        self.solves += 1
-        self._impose_in_cells(conditions)
-        return super().solve(conditions)
-
-    def take_kappa(self, data: LinearData) -> None:
-        """Go on with the same data but for κ (collective)."""
-        self.system.take_kappa(data)
-        self._operator.take_natural()
-        self._factors, self._in_cells = self._none_kept(), None
-        self._take(data)
-
-    @property
-    def x(self) -> PETSc.Vec:
-        """The owned unknowns."""
-        return self._x
-
-    @property
-    def natural(self) -> PETSc.Mat:
-        """The matrix without conditions."""
-        return self.system.matrix
-
-    def new_tangent(self) -> Tangent:
-        """Newton's method from the last solution."""
-        return Tangent(self, self._solver)
-
-    def imposed(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array]:
-        """See `Tangible.imposed` (collective)."""
-        self._impose_in_cells(conditions)
-        posed = self.posed(conditions)
-        load, _ = self._loads(posed)
-        fixed = self._factors.impose(posed.imposed)
-        self._state = State.START
-        return self._operator.matrix, fixed, self._held.array_r.copy(), load
-
-    def off_laws(self, conditions: SiteConditions) -> Array:
-        """See `Tangible.off_laws` (collective)."""
-        p, flux = self._pairs(self._x, conditions)
-        unit = self.stiffness
-        if not self.by_traces:
-            unit = np.append(unit, 1 / np.repeat(mean_moments(self.spaces, self.data), self.spaces.dim + 1))
-        return off_chains(self.chains, p, flux, unit)
-
-    def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
-        """Solve, see `TraceBackend.solve_until` (collective)."""
-        self._impose_in_cells(conditions)
-        return super().solve_until(conditions, enough)
-
-    def _impose_in_cells(self, conditions: SiteConditions) -> None:
-        """Eliminate the cells under these conditions, unless they are those of last time (collective)."""
-        cells = self._cell.of(conditions)
-        if self.by_traces or cells.same(self._in_cells, self.comm):
-            return
-        self._in_cells, self._state = None, State.START
-        self.system.impose_in_cells(cells)
-        self._operator.take_natural()
-        self._factors, self._in_cells = self._none_kept(), cells
-
-    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
-        """See `TraceBackend._pairs`; those of cells take the fields (collective)."""
-        p, flux = self.openings(x), self.flux(x, self.system.load)
-        if not self.by_traces:
-            fields = self.system.recover(self.system.everywhere(x.array_r) + self.data.lift)
-            in_cells = self.data.in_cells(self.spaces, *fields)
-            p, flux = np.append(p, in_cells[0]), np.append(flux, in_cells[1])
-        return self.cleaned(conditions, p, flux)
+        return super().with_laws + ([] if self.data.cells_at is None else [(self._cells, self.data.cells_at)])
 
     @property
     def inexact(self) -> Inexact | None:
@@ -234,6 +149,7 @@ class LinearBackend(VertexBackend, TraceBackend):
 
     def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> LinearIterate:
         """The iterate from the values of σ and u (collective)."""
+        self.sizes.take(u, sigma)
         fields = self.spaces.flux(sigma), self.spaces.scalar(u)
         return self.iterate_of(conditions, self.openings(self._x), *fields, self._iterations)
 
@@ -242,7 +158,7 @@ class LinearBackend(VertexBackend, TraceBackend):
         of_u, of_flux = super().scales(iterate)
         if not self.by_traces:
             moments = np.repeat(mean_moments(self.spaces, self.data), self.spaces.dim + 1)
-            self._cell.of(of_flux)[:] = self._cell.of(of_u) / moments
+            self._cells.of(of_flux)[:] = self._cells.of(of_u) / moments
         return of_u, of_flux
 
     def places(self) -> Array:
@@ -253,38 +169,3 @@ class LinearBackend(VertexBackend, TraceBackend):
         sums = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
         of_cells = np.concatenate([vertices, sums, np.ones((*vertices.shape[:2], 1))], axis=2)
         return np.vstack([places, of_cells.reshape(-1, of_cells.shape[2])])
-
-
-class FreeVertices(VertexBackend):
-    """The hybrid system without conditions on Γ_S, for methods with bounds of their own; û is x and the lift.
-
-    Attributes:
-        matrix: Its matrix.
-        b: Its right side.
-        x: Its unknowns.
-        trace_dofs: The unknown of each site.
-        dofs: Number of unknowns over all ranks.
-        large: Whether an iterative solver is the default at this size.
-    """
-
-    name = "hybrid RT1"
-
-    def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning):
-        """Assemble (collective)."""
-        self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds.unknown)
-        self._system, none = FluxSystem(spaces, data), np.empty(0, dtype=np.int32)
-        operator = ConstrainedMatrix(self._system.matrix, PETSc.Mat.Option.SPD)
-        operator.impose(data.fixed, none, np.empty(0))
-        self.matrix, self.trace_dofs = operator.matrix, spaces.site_kinds.unknown
-        self.dofs: int = self.matrix.getSize()[0]
-        self.large = tuning.is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
-        self.x, self.b = self.matrix.createVecs()
-        self.b.array_w[:] = self._system.load
-        self.b.array_w[data.fixed] = 0.0
-
-    def recover(self, conditions: SiteConditions, iterations: int) -> LinearIterate:
-        """The iterate that belongs to x (collective)."""
-        x = self.x.array_r.copy()
-        sigma, u = self._system.recover(self._system.everywhere(x) + self.data.lift)
-        fields = self.spaces.flux(sigma), self.spaces.scalar(u)
-        return self.iterate_of(conditions, x[self.trace_dofs], *fields, iterations)

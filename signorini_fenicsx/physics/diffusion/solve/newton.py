@@ -8,6 +8,7 @@ solution of (MLM-I)_h. It is found without the set rules and the active-set loop
 them.
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,17 +18,21 @@ from dolfinx import fem
 from dolfinx.fem.petsc import NonlinearProblem, assign
 from petsc4py import PETSc
 
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.chains import Chains, Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import OnStep, Outcome
+from signorini_fenicsx.discrete.trace_multigrid import DIRECT_UP_TO as OF_VERTICES
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct, snes_failure, solver_name, take_options
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
-from signorini_fenicsx.physics.diffusion.solve.linear_backend import FreeVertices
+from signorini_fenicsx.physics.diffusion.solve.flux_backend import FluxBackend
+from signorini_fenicsx.physics.diffusion.solve.hybrid import DIRECT_UP_TO, HybridBackend
+from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
 from signorini_fenicsx.physics.diffusion.solve.recorder import Recorder
 from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask
 
@@ -47,23 +52,28 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
         InputError: If PETSc refuses an option.
     """
     with task.watch.phase("assembly"):
-        system: FacetSystem | FreeVertices
-        if isinstance(task, LinearTask):
-            system = FreeVertices(task.spaces, task.data, task.tuning)
-        else:
-            system = FacetSystem(task.spaces, task.data, task.tuning)
-            system.apply(SiteConditions.everywhere(Condition.NO_FLUX, len(system.spaces.facets)))
-    system.x.set(0.0)
-    x = system.matrix.createVecRight()  # without ghosts: PETSc never frees a duplicate of a vector with ghosts
-    x.set(0.0)
-    law = task.data.chains
-    snes = _snes(system, law, task.max_iterations)
-    recorder = Recorder(system.spaces, *_recovered(system, law, 0), task.on_step)
+        backend, large = _free(task)
+        free = SiteConditions.everywhere(Condition.NO_FLUX, backend.sites)
+        matrix, fixed, _, load = backend.imposed(free)
+        (x, b), law = matrix.createVecs(), task.data.chains
+        x.set(0.0)
+        b.array_w[:] = load
+        b.array_w[fixed] = 0.0
+    low, high, *_ = law.extent()
+
+    def reached(iterations: int) -> tuple[Iterate, SiteConditions]:
+        """The present solution; a facet is in contact where p is at one of its bounds."""
+        x.copy(backend.x)
+        p = backend.openings(x)
+        conditions = law.conditions(np.where(p >= high, law.count, p > low))
+        return replace(backend.recovered(conditions, refine=False), linear_iterations=iterations), conditions
+
+    snes = _snes(matrix, b, (backend.spaces.site_kinds.unknown, low, high), task.max_iterations, large=large)
+    recorder = Recorder(task.spaces, *reached(0), task.on_step)
 
     def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
         if iteration > 0:
-            x.copy(system.x)
-            recorder.add(*_recovered(system, law, snes.getKSP().getIterationNumber()))
+            recorder.add(*reached(snes.getKSP().getIterationNumber()))
 
     snes.setMonitor(record)
     failure = snes_failure(snes, lambda: snes.solve(None, x), VI_PREFIX, DEFAULTS)
@@ -73,19 +83,30 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
         again = snes_failure(snes, lambda: snes.solve(None, x), VI_PREFIX, DEFAULTS)
         ending = f"{again or 'SNESVI converged'}, by full steps after {failure}"
         failure = again
-    x.copy(system.x)
-    state = _recovered(system, law, snes.getKSP().getIterationNumber())
+    state = reached(snes.getKSP().getIterationNumber())
     name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
     snes.destroy()
-    for vector in (system.x, system.b):
+    for vector in (x, b):
         vector.destroy()  # after SNESVI on several ranks, PETSc's garbage collection would not free them
-    return recorder.outcome(state, ending, (system.name, system.dofs, name), converged=failure is None)
+    return recorder.outcome(state, ending, (backend.name, backend.dofs, name), converged=failure is None)
 
 
-def _snes(system: FacetSystem | FreeVertices, law: Chains, max_iterations: int) -> PETSc.SNES:
-    """SNESVI for the system under its current conditions, with its bounds (collective)."""
-    snes = PETSc.SNES().create(system.matrix.getComm())
-    matrix, b = system.matrix, system.b
+def _free(task: DiffusionTask) -> tuple[FluxBackend, bool]:
+    """The backend, whose own solver is not used, and whether an iterative one is the default (collective)."""
+    unused = Tuning(direct_up_to=sys.maxsize, predict_from=sys.maxsize)
+    backend: FluxBackend
+    if isinstance(task, LinearTask):
+        backend, most = LinearBackend(task.spaces, task.data, unused), OF_VERTICES[task.spaces.dim]
+    else:
+        backend, most = HybridBackend(task.spaces, task.data, tuning=unused), DIRECT_UP_TO
+    return backend, task.tuning.is_large(backend.dofs, most)
+
+
+def _snes(
+    matrix: PETSc.Mat, b: PETSc.Vec, bounds: tuple[Indices, Array, Array], max_iterations: int, *, large: bool
+) -> PETSc.SNES:
+    """SNESVI for a linear system with bounds of some unknowns, see `solve_bound_constrained` (collective)."""
+    snes = PETSc.SNES().create(matrix.getComm())
 
     def residual(snes: PETSc.SNES, x: PETSc.Vec, out: PETSc.Vec) -> None:
         matrix.mult(x, out)
@@ -96,14 +117,14 @@ def _snes(system: FacetSystem | FreeVertices, law: Chains, max_iterations: int) 
     lower, upper = matrix.createVecs()
     lower.set(-PETSc.INFINITY)
     upper.set(PETSc.INFINITY)
-    low, high, *_ = law.extent()
-    lower.array_w[system.trace_dofs] = low
-    upper.array_w[system.trace_dofs] = high
+    sites, low, high = bounds
+    lower.array_w[sites] = low
+    upper.array_w[sites] = high
     snes.setVariableBounds(lower, upper)
     snes.setType("vinewtonrsls")
     snes.setTolerances(rtol=1e-11, atol=1e-200, stol=0.0, max_it=max_iterations)
     ksp, pc = snes.getKSP(), snes.getKSP().getPC()
-    if system.large:
+    if large:
         ksp.setType("cg")
         ksp.setTolerances(rtol=LINEAR)
         pc.setType("gamg")
@@ -111,16 +132,6 @@ def _snes(system: FacetSystem | FreeVertices, law: Chains, max_iterations: int) 
         set_direct(ksp, "cholesky")
     take_options(snes, VI_PREFIX, DEFAULTS)
     return snes
-
-
-def _recovered(
-    system: FacetSystem | FreeVertices, law: Chains, linear_iterations: int
-) -> tuple[Iterate, SiteConditions]:
-    """The current solution; a facet is in contact where p is at one of its bounds."""
-    p = system.x.array_r[system.trace_dofs]
-    low, high, *_ = law.extent()
-    conditions = law.conditions(np.where(p >= high, law.count, p > low))
-    return system.recover(conditions, linear_iterations), conditions
 
 
 PREFIX = "newton_"

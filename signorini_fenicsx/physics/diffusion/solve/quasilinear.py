@@ -111,7 +111,7 @@ class QuasiLinear:
         of_u: Quasilinear = self.backend.data.quasilinear
         if of_u.storing is not None:
             traces = of_u.storing.traces - of_u.constant
-            self.backend.system.begin(traces)
+            self.backend.x.array_w[:] = self.backend.system.unknowns_of(traces)
             return [self._newton(), self._again(traces)]
         ways = [self._under(of_u.first), self._anderson(), self._newton(), self._anderson(), self._newton()]
         ways += [self._by_powers(), self._under(of_u.at_rest), self._newton()]

@@ -18,7 +18,7 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cell
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
-from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM
+from signorini_fenicsx.physics.diffusion.solve.hybrid import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
 from signorini_fenicsx.physics.diffusion.solve.quasilinear import Change, QuasiLinear
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, kkt_residuals
@@ -94,8 +94,8 @@ class DiffusionTask(Task):
         """
         of_u = self.data.quasilinear
         if of_u is not None and of_u.storing is not None:
-            backend.system.begin(of_u.storing.traces - of_u.constant)
-            p, chains = backend.x.array_r[backend.system.trace_dofs], backend.chains
+            backend.x.array_w[:] = backend.system.unknowns_of(of_u.storing.traces - of_u.constant)
+            p, chains = backend.openings(backend.x), backend.chains
             return chains.conditions(np.minimum((chains.p < p[:, None]).sum(axis=1), chains.count))
         return None if self.spaces.held else backend.chains.conditions(backend.chains.steepest())
 

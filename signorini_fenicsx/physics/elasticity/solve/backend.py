@@ -6,7 +6,7 @@ under the load they give way so far that the next set is larger. No result has s
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from petsc4py import PETSc
@@ -22,7 +22,7 @@ from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
 from signorini_fenicsx.discrete.trace_backend import TraceBackend
-from signorini_fenicsx.discrete.trace_multigrid import STIFF
+from signorini_fenicsx.discrete.trace_multigrid import STIFF, facet_solver
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, law_of_sites
@@ -73,15 +73,17 @@ class ElasticBackend(TraceBackend):
         Raises:
             InputError: If PETSc refuses an option.
         """
+
+        def stiff() -> bool:
+            return data.stiffness_of_volume(spaces) >= STIFF
+
         self._normal, self._slip = spaces.site_kinds
         super().__init__(
             ElasticSystem(spaces, data),
             spaces,
             data.fixed,
-            tuning,
             neighbours(spaces),
-            direct=direct,
-            with_normals=lambda: data.stiffness_of_volume(spaces) >= STIFF,
+            partial(facet_solver, spaces, tuning, direct=direct, with_normals=stiff),
         )
         self._take(data)
 
@@ -358,6 +360,7 @@ class ElasticBackend(TraceBackend):
     def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
         """The iterate from the values of σ and u (collective)."""
         spaces = self.spaces
+        self.sizes.take(u, sigma)
         means = self.openings(self._x)
         p, flux = self.cleaned(conditions, means, self.data.reactions(spaces, sigma, self._slip.of(means)))
         return Iterate(p, flux, self._iterations, spaces.split.stress(sigma), spaces.displacement(u))

@@ -69,6 +69,11 @@ class ElasticSystem(HybridSystem):
             self._take_loads()
         return bool(same[0])
 
+    @property
+    def lift(self) -> Array:
+        """See `TraceSystem.lift`."""
+        return self._data.lift
+
     def _take_loads(self) -> None:
         """Find the right side (collective)."""
         spaces, data = self.spaces, self._data
@@ -108,13 +113,13 @@ class ElasticSystem(HybridSystem):
         cells = np.arange(len(means), dtype=np.int32)
         np.add.at(pulls.array, self._unknowns(cells), self.mean.pulls(means))
         pulls.scatter_reverse(la.InsertMode.add)
-        return self._sides.forces(pulls.array[: self._size * self._numbers.size_local])
+        return self.sides.forces(pulls.array[: self._size * self._numbers.size_local])
 
     def means(self, x: Array, wanted: Array) -> tuple[Array, float]:
         """What all unknowns of this rank add to the mean pressures, see `MeanPressure.of` (collective)."""
         assert self.mean is not None
         cells = np.arange(len(self.spaces.order), dtype=np.int32)
-        return self.mean.of(self._sides.values(x)[self._unknowns(cells)], wanted)
+        return self.mean.of(self.sides.values(x)[self._unknowns(cells)], wanted)
 
     def take_means(self, means: Array, pulls: Array) -> None:
         """Take means of pressures as given besides, with what they take from the right side."""
