@@ -3,6 +3,7 @@
     uv run python scripts/measure.py WHAT …          (WHAT --help tells the options)
 
 `benchmark`   seconds beside P1 and P2 of scikit-fem and NGSolve at equal errors (`uv run --group bench`)
+`elimination` RT0's facet system by its closed form and by elimination
 `libraries`   a pressed block by P2 of scikit-fem and NGSolve (`uv run --group bench`)
 `whole-runs`  whole runs as multiples of one linear solve
 `phases`      where the seconds of the solver go
@@ -41,7 +42,7 @@ MODULES = {
     "soil-columns": "soils",
     **dict.fromkeys(["korn", "proved-korn"], "korn"),
     **dict.fromkeys(["mindlin", "plate", "penalty"], "published"),
-    **{name: name for name in ("methods", "pairs", "scaling", "soils", "yardstick")},
+    **{name: name for name in ("elimination", "methods", "pairs", "scaling", "soils", "yardstick")},
 }
 """Where each is, in `measuring`."""
 

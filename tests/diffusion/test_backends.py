@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from agreement import assert_same_iterates
 from made_cases import make_case
+from measuring.elimination import eliminated
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -27,6 +28,7 @@ from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 from signorini_fenicsx.physics.diffusion.solve import hybrid
+from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
@@ -81,6 +83,18 @@ def test_multigrid_iterations_do_not_grow():
         assert solution.outcome.linear_solver == "cg+mg"
         assert max(step.linear_iterations for step in solution.outcome.history) <= 20
         assert max(vars(solution.kkt).values()) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["example1", "crack", "cube"])
+def test_closed_form_is_the_elimination_of_the_cells(name: str):
+    """With κ a matrix that varies, cu, and jumps inside the domain."""
+    dim = 3 if name == "cube" else 2
+    kappa = [[f"{3 if i == j else 0.5} + x*y" for j in range(dim)] for i in range(dim)]
+    case = load_case(name).with_values({"solve.h": 0.4, "problem.kappa": kappa, "problem.c": "2 + x"})
+    system = FacetSystem(spaces := solve_case(case).spaces, data := project_data(spaces, case.posed(dim)))
+    difference = eliminated(system, data)
+    difference.axpy(-1.0, system.matrix)
+    assert difference.norm() < 1e-13 * system.matrix.norm()
 
 
 @pytest.mark.parallel([1, 2])
