@@ -302,6 +302,42 @@ def test_two_pairs_on_one_master() -> None:
         Elasticity(young=1, poisson=0.3, conditions=[Pair("a10", "c11"), Pair("c11", "b10")])
 
 
+@pytest.mark.parametrize(
+    ("dim", "numbers", "slope", "friction", "way"),
+    [(2, 4, 0.35, (0.2, 0.4), 1), (2, 3, 0.35, (0.2, 0.4), -1), (3, 2, 0.2, (0.3, 0.15), 1)],
+)
+def test_a_wedge(dim: int, numbers: int, slope: float, friction: tuple[float, float], way: int) -> None:
+    """A wedge is driven below a block, or out again: the force of statics, W (tan(φ ± α) + μ), both pairs sliding."""
+    beside, height = [0.0] * (dim - 2), lambda x: 0.5 + slope * x[0]
+    boxes = {
+        "floor": box_cells([numbers + 2, *[1] * (dim - 1)], [-0.5, *beside, -1.0], [1.5, *[1.0] * (dim - 2), 0.0], 3),
+        "wedge": box_cells([numbers + 1, *[2] * (dim - 2), 1], [0.0] * dim, [1.0] * dim, 4),
+        "block": box_cells([numbers, *[1] * (dim - 2), 2], [0.1, *beside, 0.0], [0.9] + [1.0] * (dim - 1), 5),
+    }
+    for name in ("wedge", "block"):
+        x = boxes[name][0]
+        x[:, -1] = height(x.T) * x[:, -1] if name == "wedge" else height(x.T) + (2 - height(x.T)) * x[:, -1]
+    places = {"ground": ("floor", -1, -1.0), "table": ("floor", -1, 0.0), "foot": ("wedge", -1, 0.0)}
+    places |= {"back": ("wedge", 0, 1.0), "lid": ("block", -1, 2.0)}
+    places |= {"west": ("block", 0, 0.1), "east": ("block", 0, 0.9)}
+    free = {"a": ("floor", 0, -0.5), "b": ("floor", 0, 1.5), "c": ("wedge", 0, 0.0)}
+    sides = {f"{name}{end}": (name, 1, float(end)) for name in boxes for end in (0, 1)} if dim == 3 else {}
+    parts: dict[str, Any] = {
+        name: (body, lambda x, axis=axis, at=at: np.isclose(x[:dim][axis], at))
+        for name, (body, axis, at) in (places | free | sides).items()
+    }
+    parts |= {name: (name, lambda x: np.isclose(x[dim - 1], height(x))) for name in ("wedge", "block")}
+    held = [Dirichlet("ground", 0), Dirichlet("back", [-0.5 * way, *[0] * (dim - 1)], components="x")]
+    held += [Dirichlet(["west", "east"], 0, components="x"), *([Dirichlet([*sides], 0, components="y")] * (dim - 2))]
+    above, below = Pair("block", "wedge", Coulomb(friction[0])), Pair("foot", "table", Coulomb(friction[1]))
+    conditions = [*held, Neumann([*free]), Pressure("lid", 0.01), above, below]
+    solution = solve(apart(MPI.COMM_SELF, boxes, parts), Elasticity(young=1, poisson=0.3, conditions=conditions))
+    force = -way * solution.resultants()["back"][0]
+    statics = 0.008 * (np.tan(np.arctan(friction[0]) + way * np.arctan(slope)) + friction[1])
+    assert force == pytest.approx(statics, rel=1e-11 if dim == 2 else 1e-5)
+    assert solution.friction_states()["stick"]["vertices"] == 0
+
+
 def on_plane(axis: int, place: float, x: np.ndarray) -> np.ndarray:
     """Whether a coordinate of points has a value."""
     return np.isclose(x[axis], place)
