@@ -17,12 +17,16 @@ if ! command -v signorini >/dev/null; then
 fi
 
 timed() {  # the lines of a command with the time before each; its status
-    "$@" 2>&1 | while IFS= read -r line; do printf '%(%F %T)T  %s\n' -1 "$line"; done
+    "$@" 2>&1 | (
+        trap '' TERM  # which Slurm sends to all of the job: what the run says of it has to reach the log
+        while IFS= read -r line; do printf '%(%F %T)T  %s\n' -1 "$line"; done
+    )
     return "${PIPESTATUS[0]}"
 }
 
 run() {  # signorini on all ranks of the job, then the memory and time that Slurm has counted, where it counts
     local status=0
+    trap : TERM  # the run ends by it, and then this
     timed mpirun -n "${SLURM_NTASKS:?start this with sbatch}" signorini "$@" || status=$?
     if [[ -n "${SLURM_JOB_ID:-}" ]] && command -v sstat >/dev/null; then
         sstat --noheader --parsable2 --format=JobID,MaxRSS,AveRSS,NTasks "$SLURM_JOB_ID" 2>/dev/null || true

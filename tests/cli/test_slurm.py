@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 from pathlib import Path
 
@@ -52,3 +53,22 @@ def test_nowhere(tmp_path: Path):
     )
     assert ended.returncode == 2
     assert "set SIGNORINI_MODULES" in ended.stderr
+
+
+def test_time_limit(tmp_path: Path):
+    """At the time limit Slurm sends SIGTERM to all of the job; what the run says then is in the log."""
+    put(tmp_path / "bin" / "mpirun", 'shift 2; exec "$@"')
+    put(tmp_path / "bin" / "signorini", "trap 'echo saved; exit 1' TERM; echo solving; sleep 9 & wait")
+    about = {"SLURM_NTASKS": "1", "SLURM_SUBMIT_DIR": str(tmp_path), "SIGNORINI_SCRIPTS": str(SCRIPTS)}
+    job = subprocess.Popen(
+        [SCRIPTS / "slurm_solve.sh", "dam"],
+        env={"PATH": f"{tmp_path}/bin:/usr/bin:/bin"} | about,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert job.stdout is not None
+    assert "solving" in job.stdout.readline()
+    os.killpg(job.pid, signal.SIGTERM)
+    assert "saved" in job.stdout.readline()
+    assert job.wait() == 1
