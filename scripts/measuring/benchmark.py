@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import matplotlib
 import numpy as np
 import typer
 from rich.console import Console
@@ -86,7 +85,7 @@ def benchmark(
     element: Annotated[list[str], typer.Option(help="RT0 or RT1; may be given twice.")] = ["RT0", "RT1"],  # noqa: B006
     rounds: Annotated[int, typer.Option(min=1, help="How often all is run.")] = 3,
     quick: Annotated[bool, typer.Option(help="Without the larger sizes.")] = False,
-    output: Annotated[Path, typer.Option(help="Folder of the table and the picture.")] = Path("results/benchmark"),
+    output: Annotated[Path, typer.Option(help="Folder of the table.")] = Path("results/benchmark"),
 ) -> None:
     """Run all programs on all problems and print their seconds."""
     output.mkdir(parents=True, exist_ok=True)
@@ -102,7 +101,6 @@ def benchmark(
                         runs += launch(name, program, number, sizes, Path(folder))
                     write_table(output / "benchmark.csv", Run, runs)
         console.print(table(name, element, [run for run in runs if run.problem == name]))
-    draw(runs, output / "benchmark.png")
     console.print(f"results    {output}")
 
 
@@ -190,29 +188,6 @@ def between(values: Sequence[tuple[float, bool]]) -> str:
     """The least and the largest of some values, marked if one is extrapolated."""
     low, high = min(value for value, _ in values), max(value for value, _ in values)
     return "~" * any(guessed for _, guessed in values) + (f"{low:.2g}" if len(values) == 1 else f"{low:.2g}–{high:.2g}")
-
-
-def draw(runs: Sequence[Run], path: Path) -> None:
-    """Seconds over the error, one panel for each problem; ours dashed with the bound, over the certified error."""
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    problems, programs = (list(dict.fromkeys(getattr(run, key) for run in runs)) for key in ("problem", "program"))
-    figure, axes = plt.subplots(1, len(problems), figsize=(5 * len(problems), 5), squeeze=False, layout="constrained")
-    for axis, problem in zip(axes[0], problems, strict=True):
-        for number, program in enumerate(programs):
-            chosen = of([run for run in runs if run.problem == problem], program, 0)
-            style = {"marker": "o", "markersize": 3, "color": f"C{number}"}
-            axis.loglog([run.error for run in chosen], [run.seconds for run in chosen], label=program, **style)
-            if program not in OTHERS:
-                with_bound = [run.seconds + run.seconds_of_bound for run in chosen]
-                label = f"{program}, with bound"
-                axis.loglog([run.bound for run in chosen], with_bound, linestyle="--", label=label, **style)
-        axis.set(title=problem, xlabel="error of the flux", ylabel="seconds")
-        axis.invert_xaxis()
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
 
 
 PHASES = "assembly", "prediction", "solve"

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import ufl
 from dolfinx import fem
-from matplotlib.figure import Figure
 from mpi4py import MPI
 from rich.console import Console
 from rich.table import Table
@@ -29,20 +28,8 @@ from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
-PANELS = {
-    "iterations": "iterations",
-    "seconds": "seconds",
-    "flux": "‖σ_ref − σ_h‖ / ‖σ_ref‖",
-    "mass": "‖∇·σ_h + f_h‖ / ‖f_h‖",
-}
-FAMILIES = {
-    "C0": ("alg1", "alg2", "vi", "qp"),
-    "C1": ("alg3", "alg4", "snes1", "snes2"),
-    "C2": ("mixed-uzawa1", "mixed-uzawa2", "mixed-uzawa-h12", "mixed-uzawa-wang"),
-    "C3": ("uzawa", "psor", "primal-pdas", "primal-penalty"),
-    "C4": ("slimane",),
-}
-STYLES = ("o-", "s--", "^:", "v-.")
+MEANS = ("iterations", "seconds", "flux", "mass")
+"""The columns with means over the examples."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +79,12 @@ def show(rows: list[MethodRow]) -> None:
 
 
 def summarise(rows: dict[int, list[MethodRow]]) -> None:
-    """Print the values of the figure, and for each method its largest distance from Algorithm 1."""
+    """Print means over the examples, and for each method its largest distance from Algorithm 1."""
     if COMM.rank == 0:
         title = "geometric means over the examples, h ≤ " + " / ".join(f"2^-{level}" for level in rows)
-        table = Table("method", *PANELS, "distance", title=title)
+        table = Table("method", *MEANS, "distance", title=title)
         for method in METHODS:
-            means = [" / ".join(f"{mean(some, method, column):.2g}" for some in rows.values()) for column in PANELS]
+            means = [" / ".join(f"{mean(some, method, column):.2g}" for some in rows.values()) for column in MEANS]
             distance = max(row.distance for some in rows.values() for row in some if row.method == method)
             table.add_row(method, *means, f"{distance:.1e}")
         Console(width=130).print(table)
@@ -107,21 +94,6 @@ def mean(rows: list[MethodRow], method: str, column: str) -> float:
     """Geometric mean of a column over the rows of one method."""
     values = [getattr(row, column) for row in rows if row.method == method]
     return float(np.exp(np.mean(np.log(np.maximum(values, 1e-17)))))
-
-
-def draw(path: Path, rows: dict[int, list[MethodRow]]) -> None:
-    """Geometric means over the examples, over h; rows by level."""
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    h = [2.0**-level for level in rows]
-    for axes, (column, label) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
-        for colour, methods in FAMILIES.items():
-            for method, style in zip(methods, STYLES, strict=False):
-                means = [mean(of_level, method, column) for of_level in rows.values()]
-                axes.loglog(h, means, style, color=colour, label=method, markersize=4)
-        axes.set_xscale("log", base=2)
-        axes.set(xlabel="h", ylabel=label)
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right center")
-    figure.savefig(path, dpi=150)
 
 
 def methods(
@@ -134,7 +106,7 @@ def methods(
 
     For h ≤ 2^-level it prints, and writes into methods.csv, one row per algorithm, then means over the examples; the
     columns are explained in `MethodRow`. The reference is Algorithm 1 with h ≤ 2^-reference, and ε is 1e-8 in all
-    examples. methods.png shows four of the columns over h, as geometric means over the examples.
+    examples.
     """
     first, last = (int(level) for level in levels.split(":"))
     for method in METHODS:  # compiles the forms, so that no time contains this
@@ -153,7 +125,6 @@ def methods(
     def write() -> None:
         output.mkdir(parents=True, exist_ok=True)
         write_table(output / "methods.csv", MethodRow, itertools.chain(*rows.values()))
-        draw(output / "methods.png", rows)
 
     on_root(COMM, write)
 

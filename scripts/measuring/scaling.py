@@ -8,13 +8,12 @@ memory: the same mesh on 1, 2, 4, 8 and 16 ranks, more than there are cores, so 
 empty process has (a run on a few cells with as many ranks) is taken off. Messages and reductions are those that PETSc
 counts while it assembles and solves, and the products and norms of vectors, each of which is a reduction.
 
-The results are `scaling.json`, `table.md` and `scaling.png`. The machine should be idle; `--quick` is a trial on small
+The results are `scaling.json` and `table.md`. The machine should be idle; `--quick` is a trial on small
 meshes.
 """
 
 import ast
 import json
-import math
 import os
 import re
 import subprocess
@@ -25,7 +24,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import matplotlib as mpl
 import typer
 
 DIM = {"example1": 2, "cube": 3}
@@ -104,7 +102,6 @@ def scaling(
     tables = of_time("strong", runs["strong"]), of_time("weak", runs["weak"]), of_ranks(runs["memory"])
     text = "\n\n".join("\n".join(lines) for lines in tables)
     (output / "table.md").write_text(text + "\n", encoding="utf-8")
-    draw(runs, output / "scaling.png")
     print(text)
 
 
@@ -191,36 +188,3 @@ def of_ranks(runs: list[Run]) -> list[str]:
         numbers = (run.ranks, run.unknowns, *memory, run.iterations, run.solves, *talk, run.reductions)
         lines.append(f"| {run.case} | {' | '.join(map(str, numbers))} |")
     return lines
-
-
-def draw(runs: dict[str, list[Run]], path: Path) -> None:
-    """Seconds by phase on one and two ranks; memory, messages and reductions over ranks."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-    from matplotlib.ticker import NullLocator
-
-    figure, axes = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
-    bars = [(f"{run.case}, {name}, {run.ranks}", run) for name in ("strong", "weak") for run in runs[name]]
-    before = [0.0] * len(bars)
-    for phase in PHASES:
-        widths = [run.timings.get(phase, 0.0) / run.seconds for _, run in bars]
-        axes[0].barh([label for label, _ in bars], widths, left=before, label=phase)
-        before = [left + width for left, width in zip(before, widths, strict=True)]
-    axes[0].invert_yaxis()
-    axes[0].set(title="share of each phase on 1 and 2 ranks", xlabel="share of the whole run", xlim=(0, 1))
-    axes[0].legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.4, -0.14))
-    for case in DIM:
-        chosen = [run for run in runs["memory"] if run.case == case]
-        ranks = [run.ranks for run in chosen]
-        axes[1].semilogx(ranks, [run.per_facet for run in chosen], "o-", base=2, label=case)
-        messages = [run.messages if run.ranks > 1 else math.nan for run in chosen]  # one rank has none
-        axes[2].loglog(ranks, messages, "o-", base=2, label=f"{case}, messages per rank")
-        axes[2].loglog(ranks, [run.reductions for run in chosen], "s--", base=2, label=f"{case}, reductions")
-    axes[1].set(title="memory", xlabel="ranks", ylabel="bytes per facet, all ranks", ylim=(0, None))
-    axes[2].set(title="assembly and solver", xlabel="ranks")
-    for axis in axes[1:]:
-        axis.xaxis.set_minor_locator(NullLocator())
-        axis.set_xticks(RANKS, [str(rank) for rank in RANKS])
-        axis.legend(fontsize=8)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)

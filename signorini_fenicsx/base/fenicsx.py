@@ -38,6 +38,10 @@ NEEDED = {"language": "C", "scalar_type": "float64", "sum_factorization": False,
 """Options of FFCx without which no form of this program is compiled, or not all of it."""
 LOADED: dict[str, Any] = {}
 """The forms that this process has loaded or compiled, by signature of form and options."""
+FEW = 10
+"""At most so many unknowns of a cell, or blocks of them; not those of quadratures."""
+SPACES = "_spaces_of_signorini_fenicsx"
+"""Attribute of a mesh: the elements and the objects of DOLFINx of its spaces, by what `function_space` was given."""
 
 type Facets = npt.NDArray[np.int32]
 
@@ -59,9 +63,18 @@ def form(
 
 
 def function_space(mesh: dolfinx.mesh.Mesh, element: Any) -> fem.FunctionSpace:
-    """The space of an element, or of its family, degree and shape, on a mesh (collective)."""
+    """The space of an element, or of its family, degree and shape, on a mesh (collective).
+
+    The mesh keeps what spaces of an element with few unknowns share, without a circle of references.
+    """
+    known: dict[Any, tuple[Any, Any]] = vars(mesh).setdefault(SPACES, {})
+    if element in known:
+        return fem.FunctionSpace(mesh, *known[element])
     with _own_compiler():
-        return fem.functionspace(mesh, element)
+        made = fem.functionspace(mesh, element)
+    if made.dofmap.dof_layout.num_dofs <= FEW:
+        known[element] = made.ufl_element(), made._cpp_object
+    return made
 
 
 def expression(value: Any, points: Array) -> fem.Expression:

@@ -9,6 +9,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.data_section import READERS, KindSection, data_section
 from signorini_fenicsx.cases.plot import Word, with_unit
 from signorini_fenicsx.cases.values import choice
+from signorini_fenicsx.expressions.given import negative
 from signorini_fenicsx.quantities import (
     Dissipation,
     Energy,
@@ -64,5 +65,5 @@ class QuantityTexts(KindSection):
         if self.sign < 0:
             if self.kind not in SIGNED:
                 raise InputError(f"sign: is of {' and '.join(SIGNED)}; a {self.kind} has none")
-            data["weight"] = f"-({data.get('weight', 1)})"
+            data["weight"] = negative(data.get("weight", 1), "weight")
         return KINDS[self.kind](**data)

@@ -252,7 +252,14 @@ class LinearTraces(MeshSpaces):
 
     def part(self, name: str) -> BoundaryFacets:
         """The facets of a part."""
-        return self.boundary_facets(self.domain.facets[name])
+        if name not in self._parts:
+            self._parts[name] = self.boundary_facets(self.domain.facets[name])
+        return self._parts[name]
+
+    @cached_property
+    def _parts(self) -> dict[str, BoundaryFacets]:
+        """The parts that were asked for."""
+        return {}
 
     @cached_property
     def neumann(self) -> BoundaryFacets:

@@ -13,6 +13,7 @@ from ufl.domain import extract_domains
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly, read, substituted, to_ufl, values
+from signorini_fenicsx.expressions.tree import Negative
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -102,6 +103,21 @@ def combined(one: Given, other: Given, factor: float, where: str) -> Tree | Expr
     x = ufl.SpatialCoordinate(meshes[0])
     one, other = (each if isinstance(each, Expr) else to_ufl(each, x) for each in (one, other))
     return one + factor * other
+
+
+def negative(given: Given, name: str) -> Given:
+    """−`given`.
+
+    Raises:
+        InputError: If it is a function of points.
+    """
+    if isinstance(given, str):
+        return f"-({given})"
+    if isinstance(given, TREES):
+        return Negative(given)
+    if not isinstance(given, int | float | Expr):
+        raise InputError(f"{name} must be a number, a text or UFL")
+    return -given
 
 
 def is_fixed(given: Any) -> bool:

@@ -232,8 +232,33 @@ class MeshFile:
 
     def read(self, h: float | None) -> tuple[FileMesh, int]:
         """See `Source`."""
-        levels, by_gmsh = _file_refinements(self.path, h, self.sizes)
-        return named(_coarse_enough(self.path, h, levels, by_gmsh, self.sizes), self.faces, self.path), levels
+        levels, by_gmsh = self._refinements(h)
+        return named(self._coarse_enough(h, levels, by_gmsh), self.faces, self.path), levels
+
+    def _refinements(self, h: float | None) -> tuple[int, int]:
+        """How often the mesh of a geometry is refined uniformly by us, and how often by Gmsh (rank 0).
+
+        Gmsh knows where new points of a curved boundary are. In space its children would be flat.
+        """
+        if h is None or not is_geometry(self.path):
+            return 0, 0
+        dim, cells = self.size(h)
+        levels = refinements(cells, dim)
+        if own_size(self.path, self.sizes).straight:
+            return levels, 0
+        return 0, levels if dim == 2 else 0
+
+    def _coarse_enough(self, h: float | None, levels: int, by_gmsh: int) -> FileMesh:
+        """A mesh whose uniform refinement has cells of diameter at most h (rank 0)."""
+        asked = None if h is None else h * 2**levels
+        mesh = read_mesh_file(self.path, asked, by_gmsh, self.sizes)
+        while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
+            achieved = 2 * refined_diameter(mesh.points, mesh.cells)
+            if achieved <= h * 2**levels:
+                break
+            asked *= 0.98 * h * 2**levels / achieved
+            mesh = read_mesh_file(self.path, asked, sizes=self.sizes)
+        return mesh
 
 
 def own_domain(
@@ -293,33 +318,6 @@ def usable(
         check_boundary(mesh, conditions)
     except InputError as error:
         raise InputError(f"{source.words}: {error}") from None
-    return mesh
-
-
-def _file_refinements(path: str, h: float | None, sizes: Sizes) -> tuple[int, int]:
-    """How often the mesh of a geometry is refined uniformly by us, and how often by Gmsh (rank 0).
-
-    Gmsh knows where new points of a curved boundary are. In space its children would be flat.
-    """
-    if h is None or not is_geometry(path):
-        return 0, 0
-    dim, cells = expected_size(path, h, sizes)
-    levels = refinements(cells, dim)
-    if own_size(path, sizes).straight:
-        return levels, 0
-    return 0, levels if dim == 2 else 0
-
-
-def _coarse_enough(path: str, h: float | None, levels: int, by_gmsh: int, sizes: Sizes) -> FileMesh:
-    """A mesh whose uniform refinement has cells of diameter at most h (rank 0)."""
-    asked = None if h is None else h * 2**levels
-    mesh = read_mesh_file(path, asked, by_gmsh, sizes)
-    while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
-        achieved = 2 * refined_diameter(mesh.points, mesh.cells)
-        if achieved <= h * 2**levels:
-            break
-        asked *= 0.98 * h * 2**levels / achieved
-        mesh = read_mesh_file(path, asked, sizes=sizes)
     return mesh
 
 

@@ -174,6 +174,7 @@ def test_a_reader_that_goes_away(tmp_path: Path):
 
 FILLING = """
 import os
+from signorini_fenicsx.base import parallel
 from signorini_fenicsx.cli import main as cli
 from signorini_fenicsx.output import field_files as output
 
@@ -182,7 +183,7 @@ def fill(folder, sizes):
     with open("disk/others", "wb") as file:
         file.write(bytes(room.f_bavail * room.f_frsize - 60000))
 
-output.check_room = fill
+output.check_room, parallel.PATIENCE = fill, 0.5
 cli.main()
 """
 A_SMALL_DISK = ("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=1500k none disk && "$0" "$@"')

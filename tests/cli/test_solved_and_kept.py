@@ -279,7 +279,7 @@ cli.main()
 def test_a_failure_on_one_rank(tmp_path: Path):
     """All ranks go on without the bound that one of them does not have, and end if one of them waits in vain."""
     (tmp_path / "failing.py").write_text(ONE_RANK)
-    done = run(tmp_path, sys.executable, "failing.py", "solve", *SOLVE, ranks=3)
+    done = run(tmp_path, sys.executable, "failing.py", "solve", *SOLVE, ranks=2)
     assert done.returncode == 3, done.stderr
     assert done.stderr.count(f"failed: error bound: {BROKEN}; fields: {BROKEN}; free on the disk: ") == 1
     assert names(tmp_path / "x") == TABLES | {"summary.json"}

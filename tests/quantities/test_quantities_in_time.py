@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import signorini
-from in_time import run, run_in_two
+from in_time import run_in_two
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
@@ -101,13 +101,20 @@ def ends(row: dict[str, str], name: str) -> tuple[float, float]:
     return float(row[f"quantities.{name}.lower"]), float(row[f"quantities.{name}.upper"])
 
 
-def test_each_step(folder: Path):
-    """`solve` has an interval for each step, around the known mean; the last ones are in the summary."""
+@pytest.fixture(scope="module")
+def falling(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`falling.toml`, solved in the folder `found`."""
+    folder = tmp_path_factory.mktemp("falling")
     (folder / "falling.toml").write_text(FALLING, encoding="utf-8")
     ended = signorini(folder, "solve", "falling.toml", "--output", "found", "--plot")
     assert ended.returncode == 0, ended.stderr
     assert "at the end" in ended.stdout
-    rows = rows_in(folder / "found")
+    return folder
+
+
+def test_each_step(falling: Path):
+    """`solve` has an interval for each step, around the known mean; the last ones are in the summary."""
+    rows = rows_in(falling / "found")
     for name, known in (("mean", (-0.1, -0.2)), ("energy", (-0.05, -0.2))):  # of 5u² + u − 10u₀u
         for row, value in zip(rows[:2], known, strict=True):
             lower, upper = ends(row, name)
@@ -116,21 +123,21 @@ def test_each_step(folder: Path):
     assert ends(rows[0], "held") == pytest.approx((0.0, 0.0), abs=1e-8)
     lower, upper = ends(rows[3], "held")
     assert 0 < lower < upper < 2
-    found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]
+    found = json.loads((falling / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]
     assert list(found) == ["mean", "held", "energy"]
     assert (found["held"]["lower"], found["held"]["upper"]) == (lower, upper)
     assert found["held"]["guaranteed"] is False
     assert found["held"]["guaranteed_for"] == rows[3]["quantities.held.guaranteed_for"] != ""
-    assert (folder / "found" / "quantities.png").exists()
+    assert (falling / "found" / "quantities.png").exists()
     for change, words in (
         ('quantity.1.parts="nowhere"', "unknown part 'nowhere'"),
         ('quantity.0.weight="1 + t"', "quantity.0.weight: "),
     ):
         for command in ("solve", "check"):
-            refused = signorini(folder, command, "falling.toml", "--set", change)
+            refused = signorini(falling, command, "falling.toml", "--set", change)
             assert refused.returncode == 2, refused.stdout
             assert words in refused.stderr
-    assert not (folder / "results").exists()
+    assert not (falling / "results").exists()
 
 
 def test_what_changes_alone_is_solved_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
@@ -174,13 +181,10 @@ def test_what_is_kept_is_that_of_all_ranks():
     assert len(made) == 2
 
 
-def test_after_a_restart(folder: Path):
+def test_after_a_restart(falling: Path):
     """Intervals after a restart are those of a run in one piece."""
-    (folder / "case.toml").write_text(FALLING, encoding="utf-8")
-    case = load_case(folder / "case.toml")
-    run(case, folder / "whole", certify_steps=False)
-    run_in_two(case, folder / "two", step=2)
-    for one, other in zip(rows_in(folder / "whole"), rows_in(folder / "two"), strict=True):
+    run_in_two(load_case(falling / "falling.toml"), falling / "two", step=2)
+    for one, other in zip(rows_in(falling / "found"), rows_in(falling / "two"), strict=True):
         for name in ("mean", "held"):
             assert ends(one, name) == pytest.approx(ends(other, name), abs=1e-9)
 

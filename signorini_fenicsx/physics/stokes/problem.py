@@ -6,15 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ufl.core.expr import Expr
-
 from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
-from signorini_fenicsx.expressions import TREES
-from signorini_fenicsx.expressions.given import Given, GivenVectorByRegion
-from signorini_fenicsx.expressions.tree import Negative
+from signorini_fenicsx.expressions.given import Given, GivenVectorByRegion, negative
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.conditions import is_normal
 from signorini_fenicsx.physics.elasticity.problem import (
@@ -210,7 +206,7 @@ def of_laws(
         if fixed.get(part, only[part]) != only[part]:
             raise InputError(f"fixed: part '{part}' has a law, by which '{only[part]}' is fixed, not '{fixed[part]}'")
     parts = [part for law in laws for part in law.parts]
-    through = {part: _turned(law.u_n) for law in slips if law.u_n != 0 for part in law.parts}
+    through = {part: negative(law.u_n, "slip: u_n") for law in slips if law.u_n != 0 for part in law.parts}
     return {
         "gap": dict.fromkeys(parts, 0.0) | through if through else 0.0,
         "support": {part: [0, law.beta] for law in slips if law.beta != 0 for part in law.parts},
@@ -223,21 +219,6 @@ def of_laws(
             plates=plates,
         ),
     }
-
-
-def _turned(u_n: Given) -> Given:
-    """−u_n, which is the gap of a law from the other side at p = 0.
-
-    Raises:
-        InputError: If it is a function of points.
-    """
-    if isinstance(u_n, str):
-        return f"-({u_n})"
-    if isinstance(u_n, TREES):
-        return Negative(u_n)
-    if not isinstance(u_n, int | float | Expr):
-        raise InputError("slip: u_n must be a number, a text or UFL")
-    return -u_n
 
 
 @dataclass(frozen=True)
