@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes c
 USUAL_RANKS = 3
 LAUNCHES = pytest.StashKey[Launches]()
 COLLECTED = pytest.StashKey[float]()
+MODULES = pytest.StashKey[int]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -78,13 +80,19 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 @pytest.fixture(autouse=True)
 def collect_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Free meshes between tests only, as commands do (see `parallel.collect_garbage`); on one rank once a second."""
+    """Free meshes between tests only, as commands do (see `parallel.collect_garbage`); on one rank once a second.
+
+    Modules that tests have imported are frozen, as those before.
+    """
     gc.disable()
     yield
     stash, now = request.config.stash, time.monotonic()
     if MPI.COMM_WORLD.size > 1 or now > stash.get(COLLECTED, 0.0) + 1:
         collect_garbage(MPI.COMM_WORLD)
         stash[COLLECTED] = now
+        if MPI.COMM_WORLD.size == 1 and len(sys.modules) > stash.get(MODULES, 0):
+            gc.freeze()
+            stash[MODULES] = len(sys.modules)
 
 
 @pytest.fixture(autouse=True)
