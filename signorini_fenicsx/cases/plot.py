@@ -74,6 +74,20 @@ class Plot(Section):
         return with_unit(name, "" if axis == "angle" else self.time_unit if axis == "t" else self.length_unit)
 
 
+UNNAMED = Plot()
+"""Of problems that name nothing."""
+
+
+def plot_of(source: object) -> Plot:
+    """The names and units of what a problem was read from."""
+    return getattr(source, "plot", None) or UNNAMED
+
+
+def in_unit(value: str, unit: str, power: int = 1) -> str:
+    """A number with a unit, perhaps squared, if there is one."""
+    return f"{value} {unit}{'²' * (power == 2)}" if unit else value
+
+
 def with_unit(name: str, unit: str) -> str:
     """A name in Matplotlib's mathematical type with a unit, if there is one."""
     return f"{name} ({_plain(unit)})" if unit else name

@@ -19,7 +19,7 @@ from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.plot import Plot
+from signorini_fenicsx.cases.plot import Plot, plot_of
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
@@ -32,9 +32,6 @@ from signorini_fenicsx.pictures.sample import Sample
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
-
-UNNAMED = Plot()
-"""Of problems that name nothing."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +120,7 @@ class Scene:
     @property
     def plot(self) -> Plot:
         """Names of u and of the flux, and level lines."""
-        return getattr(self.solution.source, "plot", None) or UNNAMED
+        return plot_of(self.solution.source)
 
     @property
     def gamma(self) -> str:

@@ -1,5 +1,6 @@
 """`[plot]`: names, units, the physical flux, level lines; words of quantities and segments; Baiocchi's water."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def test_wrong_names_are_refused(values: dict, message: str):
 
 
 def test_units_of_bodies_and_flows():
-    """Units of lengths, stresses and times are beside all axes and bars; what is of scalars is refused."""
+    """Units of lengths, stresses and times are beside all axes, bars and numbers; what is of scalars is refused."""
     case = load_case("bar").with_values({"solve.h": 0.25, "plot.length_unit": "mm", "plot.stress_unit": "MPa"})
     found = gathered_scene(solve_case(case, MPI.COMM_SELF))
     assert found is not None
@@ -87,9 +88,14 @@ def test_units_of_bodies_and_flows():
     assert {"$x$ (mm)", "von Mises stress (MPa)"} <= texts
     titles = [panel.title for panel in found.files["pressure"][1]]
     assert titles[:2] == ["pressure (MPa)", "gap (mm)"]
+    lines = found.solution.lines(found.solution.summary())
+    assert re.fullmatch(r"von Mises \S+ MPa at \(.*\) mm, \|u\| \S+ mm at \(.*\) mm", lines["largest"])
+    assert re.match(r"pressure at most \S+ MPa at \(2, 0.5\) mm, area \S+ mm, width \S+ mm, center", lines["on top"])
+    case = load_case("outlet").with_values({"solve.h": 0.5, "plot.unit": "m/s", "plot.length_unit": "m"})
+    solution = solve_case(case, MPI.COMM_SELF)
+    assert re.fullmatch(r"at most \S+ m/s at \(.*\) m", solution.lines(solution.summary())["speed"])
     with pytest.raises(InputError, match="sign: elasticity has no such key; it has length_unit, stress_unit"):
         load_case("bar").with_values({"plot.sign": -1})
-    assert load_case("outlet").with_values({"plot.unit": "m/s"}).plot.unit == "m/s"
 
 
 def test_a_quantity_has_a_symbol_a_unit_and_a_sign():

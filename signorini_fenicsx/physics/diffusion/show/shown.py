@@ -16,6 +16,7 @@ from signorini_fenicsx.base.owned import cells_behind, owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.text import named
+from signorini_fenicsx.cases.plot import in_unit, plot_of
 from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
@@ -259,9 +260,10 @@ DETAILS = {
 
 def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
-    lines = {}
+    lines, length = {}, plot_of(solution.source).length_unit
     if solution.spaces.part_names:
-        lines["contact"] = f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}"
+        measure = in_unit(f"{summary['contact_measure']:.6g}", length, solution.spaces.mesh.topology.dim - 1)
+        lines["contact"] = f"{summary['contact_facets']} facets, measure {measure}"
     if "obstacle" in summary:
         on = summary["obstacle"]
         size = f"measure {on['contact_measure']:.6g}, force {on['force']:.6g}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.cases.plot import Plot, in_unit, plot_of
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, opposite
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.site_table import Facets, along_parts
@@ -159,18 +160,20 @@ def _opposite(spaces: ElasticSpaces) -> Indices:
 
 def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
-    touching = f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}"
+    plot, dim = plot_of(solution.source), solution.spaces.dim
+    measure = in_unit(f"{summary['contact_measure']:.6g}", plot.length_unit, dim - 1)
+    touching = f"{summary['touching_vertices']} facet vertices, measure {measure}"
     texts = {
         **({"contact": touching} if solution.spaces.part_names else {}),
-        "forces": forces_in_words(summary["resultants"], solution.spaces.dim),
-        "largest": _largest(summary["quantities"]),
+        "forces": forces_in_words(summary["resultants"], dim),
+        "largest": _largest(summary["quantities"], plot),
     }
     for part, about in summary["quantities"]["contact"].items():
-        texts[f"on {part}"] = _pressed(about)
+        texts[f"on {part}"] = _pressed(about, plot, dim)
     for part, about in summary["quantities"].get("tools", {}).items():
-        texts[f"on {part}"] += f"; the tool has moved by {_moved(about)}"
+        texts[f"on {part}"] += f"; the tool has moved by {_moved(about, plot)}"
     if "least_gap" in summary:
-        least = f"negative, down to {summary['least_gap']:.4g}"
+        least = f"negative, down to {in_unit(f'{summary["least_gap"]:.4g}', plot.length_unit)}"
         other = "another body" if solution.boundary.inner or solution.boundary.pairs else "the foundation"
         texts["gap"] = f"{least}: there {other} reaches into the body at rest, and is taken to press it back"
     for part, segments in summary.get("segments", {}).items():
@@ -195,31 +198,39 @@ def forces_in_words(resultants: dict[str, list[float]], dim: int) -> str:
     return f"{'  '.join(f'{name} ({force})' for name, force in forces.items())}; all together {left:.1e}"
 
 
-def _largest(about: Mapping[str, Any]) -> str:
+def _largest(about: Mapping[str, Any], plot: Plot) -> str:
     """The largest stress and displacement with their places."""
-    names = {"von_mises": "von Mises", "displacement": "|u|"}
-    return ", ".join(f"{word} {value_at(about[key])}" for key, word in names.items())
+    names = {"von_mises": ("von Mises", plot.stress_unit), "displacement": ("|u|", plot.length_unit)}
+    return ", ".join(f"{word} {value_at(about[key], unit, plot.length_unit)}" for key, (word, unit) in names.items())
 
 
-def _pressed(about: Mapping[str, Any]) -> str:
+def _pressed(about: Mapping[str, Any], plot: Plot, dim: int) -> str:
     """How a part is pressed."""
-    words = [f"pressure at most {value_at(about['peak_pressure'])}", f"area {about['area']:.5g}"]
-    words += [f"width {about['width']:.5g}"] if "width" in about else []
+    length = plot.length_unit
+    words = [f"pressure at most {value_at(about['peak_pressure'], plot.stress_unit, length)}"]
+    words.append(f"area {in_unit(f'{about["area"]:.5g}', length, dim - 1)}")
+    words += [f"width {in_unit(f'{about["width"]:.5g}', length)}"] if "width" in about else []
     if "center_of_pressure" in about:
-        words.append(f"center ({', '.join(f'{x:.4g}' for x in about['center_of_pressure'])})")
+        words.append(f"center {place(about['center_of_pressure'], length)}")
     return ", ".join(words)
 
 
-def _moved(about: Mapping[str, Any]) -> str:
+def _moved(about: Mapping[str, Any], plot: Plot) -> str:
     """The motion of a tool."""
-    words = [f"{length:.5g} along {axis}" for axis, length in about["displacement"].items()]
+    moved = about["displacement"].items()
+    words = [f"{in_unit(f'{length:.5g}', plot.length_unit)} along {axis}" for axis, length in moved]
     words += [f"the angle {angle:.5g} about {axis}" for axis, angle in about.get("rotation", {}).items()]
     return " and ".join(words)
 
 
-def value_at(largest: Mapping[str, Any]) -> str:
-    """A value and its place."""
-    return f"{largest['largest']:.5g} at ({', '.join(f'{x:.4g}' for x in largest['at'])})"
+def value_at(largest: Mapping[str, Any], unit: str, length: str) -> str:
+    """A value and its place, in units of values and lengths."""
+    return f"{in_unit(f'{largest["largest"]:.5g}', unit)} at {place(largest['at'], length)}"
+
+
+def place(x: Sequence[float], length: str) -> str:
+    """A point in a unit of lengths."""
+    return in_unit(f"({', '.join(f'{each:.4g}' for each in x)})", length)
 
 
 def _fixed_point(about: Mapping[str, Any]) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.cases.plot import in_unit, plot_of
 from signorini_fenicsx.physics.elasticity.show import shown as of_bodies
 from signorini_fenicsx.physics.elasticity.show import tables
 from signorini_fenicsx.physics.elasticity.show.shown import forces_in_words, segments_in_words, value_at
@@ -66,17 +67,22 @@ def drawn(solution: Any) -> Drawn:
 
 def lines(solution: Any, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
-    about, flows = summary["quantities"], summary["flows"]
-    closed = f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}"
+    about, flows, plot = summary["quantities"], summary["flows"], plot_of(solution.source)
+    length, measure = plot.length_unit, f"{summary['contact_measure']:.6g}"
+    closed = in_unit(
+        f"{summary['touching_vertices']} facet vertices, measure {measure}", length, solution.spaces.dim - 1
+    )
     texts = {
         **({"closed": closed} if solution.spaces.part_names else {}),
         "forces": forces_in_words(summary["resultants"], solution.spaces.dim),
-        "speed": f"at most {value_at(about['speed'])}",
-        "pressure": _between(about["pressure"]),
+        "speed": f"at most {value_at(about['speed'], plot.unit, length)}",
+        "pressure": _between(about["pressure"], plot.stress_unit, length),
         "flow": f"out of {', '.join(f'{part} {flow:.5g}' for part, flow in flows.items())}",
     }
+    units = {"u_n": plot.unit, "sigma_nn": plot.stress_unit}
     for part, of_law in about["laws"].items():
-        texts[f"on {part}"] = f"u_n {_between(of_law['u_n'])}; σ_nn {_between(of_law['sigma_nn'])}"
+        u_n, sigma_nn = (_between(of_law[key], unit, length) for key, unit in units.items())
+        texts[f"on {part}"] = f"u_n {u_n}; σ_nn {sigma_nn}"
     for part, segments in summary.get("segments", {}).items():
         texts[f"on {part}"] += f"; facet vertices on each segment: {segments_in_words(segments)}"
     if "friction" in summary:
@@ -84,6 +90,7 @@ def lines(solution: Any, summary: Mapping[str, Any]) -> dict[str, str]:
     return texts
 
 
-def _between(ends: Mapping[str, Any]) -> str:
+def _between(ends: Mapping[str, Any], unit: str, length: str) -> str:
     """The least and the largest value with their places."""
-    return f"{value_at({'largest': ends['least'], 'at': ends['least_at']})} to {value_at(ends)}"
+    least = {"largest": ends["least"], "at": ends["least_at"]}
+    return f"{value_at(least, unit, length)} to {value_at(ends, unit, length)}"
