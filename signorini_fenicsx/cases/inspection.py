@@ -1,5 +1,6 @@
 """Inspection of a case before it is solved: its sizes and parts, the cost of a run, and whether a run could start."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +14,11 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.solving import check_quantities_of, options_of
+from signorini_fenicsx.discrete.cell_shapes import corners, hat_gradients
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.pair_overviews import overviews
 from signorini_fenicsx.meshes.checks import faces, left_over, neighbours
-from signorini_fenicsx.meshes.domain import other_side
+from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.meshing import usable
 from signorini_fenicsx.meshes.shapes import shape_of
@@ -70,6 +72,7 @@ class Checked:
         counts: Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
         left: Parts of Γ_D that no list has; "" stands for facets in no part.
         parts: For each part its condition, the number of its facets, and their measure.
+        cells: Sizes and shapes of the cells, and what is in each region, in lines by what they are of.
         pairs: Of each pair of surfaces how they cover each other, distances and sizes of facets, in a line.
         remarks: What is worth knowing of the data besides, in sentences.
     """
@@ -77,6 +80,7 @@ class Checked:
     counts: Mapping[str, int]
     left: Sequence[str]
     parts: Mapping[str, Mapping[str, Any]]
+    cells: Sequence[tuple[str, str]]
     pairs: Sequence[str]
     remarks: Sequence[str]
 
@@ -169,7 +173,23 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     totals = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
     pairs = [each.line() for each in overviews(getattr(spaces, "joints", ()), comm)]
-    return Checked(totals, _left(case, spaces), _parts(case, spaces), pairs, [*spaces.notices, *remarks])
+    remarks = [*spaces.notices, *remarks]
+    return Checked(totals, _left(case, spaces), _parts(case, spaces), _cells(domain), pairs, remarks)
+
+
+def _cells(domain: Domain) -> list[tuple[str, str]]:
+    """Lengths of edges and the flattest cell, and cells and measure of each region, in lines (collective)."""
+    x, comm = corners(domain.mesh), domain.mesh.comm
+    one, other = np.triu_indices(x.shape[1], 1)
+    edges = np.linalg.norm(x[:, one] - x[:, other], axis=2)
+    heights = 1 / np.linalg.norm(hat_gradients(domain.mesh), axis=2).max(axis=1)
+    extremes = edges.min(initial=np.inf), -edges.max(initial=0.0), (heights / edges.max(axis=1)).min(initial=np.inf)
+    short, long, flat = np.min(comm.allgather(extremes), axis=0)
+    found = [("cells", f"edges from {short:.3g} to {-long:.3g}, the flattest cell {flat:.2g} times as high as long")]
+    for name, rows in domain.regions.items():
+        count, measure = comm.allreduce(np.array([len(rows), _measure(x[rows])]))
+        found.append(("region", f"{name}: {count:.0f} cells, measure {measure:.6g}"))
+    return found
 
 
 def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:
@@ -178,9 +198,9 @@ def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:
     names = [name for name in facets if name not in map(other_side, case.inner)]
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
-    corners = [mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets[name]), :dim] for name in names]
+    of_parts = [mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets[name]), :dim] for name in names]
     own = [name in listed or len(np.intersect1d(facets[name], spaces.dirichlet_facets)) for name in names]
-    sizes = [[len(each), _measure(each), own[i]] for i, each in enumerate(corners)]
+    sizes = [[len(each), _measure(each), own[i]] for i, each in enumerate(of_parts)]
     rows = mesh.comm.allreduce(np.array(sizes, dtype=float).reshape(-1, 3))
     return {
         name: {
@@ -223,8 +243,8 @@ def _check_steps(system: System, problem: Any, evolution: Evolution, options: Op
     return list(remarks.values())
 
 
-def _measure(corners: np.ndarray) -> float:
-    """Length or area of facets with these corners, shape (facets, dim, dim)."""
-    edges = corners[:, 1:] - corners[:, :1]
+def _measure(x: np.ndarray) -> float:
+    """The measure of simplices with these corners, shape (simplices, corners, dim)."""
+    edges = x[:, 1:] - x[:, :1]
     gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
-    return float(np.sqrt(np.abs(gram)).sum() / (corners.shape[1] - 1))
+    return float(np.sqrt(np.abs(gram)).sum() / math.factorial(x.shape[1] - 1))

@@ -44,6 +44,8 @@ class CaseReport(Report):
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")
         self._parts(sizes.parts)
         self._left(case, sizes.left)
+        for what, line in sizes.cells:
+            self.entry(what, line)
         for pair in sizes.pairs:
             self.entry("pair", pair)
         self.notes(sizes.remarks)

@@ -328,7 +328,7 @@ def build_mesh_spaces(
         ds=ds(SIGNORINI),
         ds_dirichlet=ds(DIRICHLET),
         ds_neumann=ds(NEUMANN),
-        notices=[f"the {domain.cut} of the mesh file are cut into simplices"] if domain.cut else [],
+        notices=[domain.changed] if domain.changed else [],
     )
 
 

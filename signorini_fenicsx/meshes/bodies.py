@@ -88,21 +88,21 @@ class Body:
 
     def meshed(self, h: float | None) -> FileMesh:
         """Its mesh with this h, moved to its place (rank 0)."""
-        cut = ""
+        changed = ""
         if self.shape is not None:
             domain = build_domain(MPI.COMM_SELF, self.shape, h or 1.0, mesh=self.mesh, diagonal=self.diagonal)
         else:
             self.size(h)  # refuses too large a size
             path = self.file or ""
             read = named(read_mesh_file(path, None if self.is_fixed else h, sizes=self.sizes), self.faces, path)
-            domain, cut = handed_out(MPI.COMM_SELF, read, path), read.cut
+            domain, changed = handed_out(MPI.COMM_SELF, read, path), read.changed
             while self.is_fixed and h is not None and domain.h > h * (1 + SAME):
                 domain = refined_uniformly(domain)
         mesh = gathered(domain.mesh, domain.facets, domain.regions)
         assert mesh is not None
         if self.offset and len(self.offset) != mesh.dim:
             raise InputError(f"offset: must have {mesh.dim} numbers, not {len(self.offset)}")
-        return replace(mesh, points=mesh.points + np.array(self.offset or 0.0), cut=cut)
+        return replace(mesh, points=mesh.points + np.array(self.offset or 0.0), changed=changed)
 
 
 @dataclass(frozen=True)
@@ -221,5 +221,5 @@ def _joined(meshes: Mapping[str, FileMesh]) -> FileMesh:
         np.concatenate([mesh.cells + point for mesh, point in zip(several, points, strict=False)]),
         parts,
         regions,
-        cut=", ".join(mesh.cut for mesh in several if mesh.cut),
+        changed="; ".join(mesh.changed for mesh in several if mesh.changed),
     )

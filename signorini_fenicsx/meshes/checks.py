@@ -34,7 +34,7 @@ class FileMesh:
         straight: Whether uniform refinement of the mesh keeps the geometry.
         together: Pairs of cells at the two sides of a cut, which have to be on one rank; None if there is no cut.
         values: Values of the file at the points by their names.
-        cut: Which cells of the file are cut into simplices, in words; nothing for none.
+        changed: What has become of other cells than simplices of first order, in words.
     """
 
     points: Array
@@ -44,7 +44,7 @@ class FileMesh:
     straight: bool = False
     together: Indices | None = None
     values: Mapping[str, Array] = field(default_factory=dict)
-    cut: str = ""
+    changed: str = ""
 
     @property
     def dim(self) -> int:
@@ -58,8 +58,14 @@ def checked(contents: Contents) -> FileMesh:
     Raises:
         InputError: If it is not a conforming mesh of straight triangles in a plane or straight tetrahedra.
     """
-    contents, cut = in_simplices(contents)
+    contents, others = in_simplices(contents)
+    cut = [f"the {others} of the mesh file are cut into simplices"] if others else []
     blocks = [straightened(contents.points, *block) for block in contents.blocks]
+    second = [
+        len(rows) for (kind, rows), (now, _) in zip(contents.blocks, blocks, strict=True) if kind != now != "line"
+    ]
+    straight = ["the elements of second order of the mesh file have straight edges, and are taken as linear ones"]
+    straight = straight if sum(second) else []
     contents = replace(contents, blocks=blocks)
     for kind, elements in blocks:
         if kind not in SIMPLICES and len(elements) > 0:
@@ -97,7 +103,7 @@ def checked(contents: Contents) -> FileMesh:
         {name: np.unique(_joined(rows)) for name, rows in regions.items()},
         contents.straight,
         values={name: values[used] for name, values in contents.values.items() if len(values) == len(contents.points)},
-        cut=cut,
+        changed="; ".join([*cut, *straight]),
     )
     _check_cells(mesh)
     return mesh

@@ -22,8 +22,9 @@ DRAWINGS = (".geo", ".step", ".stp", ".brep")
 """Endings of files with a geometry, which Gmsh meshes."""
 OF_GMSH = (*DRAWINGS, ".msh", ".unv", ".bdf")
 """Endings of files that Gmsh reads."""
-STRAIGHT = 1e-6
-"""Largest distance of a point from the middle of its edge, relative to the element's size, in a straight element."""
+STRAIGHT, ROUNDED = 1e-6, 2e-6
+"""Largest distance of a point from the middle of its edge in a straight element, relative to the element's size, and to
+the size of the mesh: points of a NASTRAN file have seven digits or fewer."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ def straightened(points: Array, kind: str, elements: Indices) -> tuple[str, Indi
     middles, between = (corners[:, one] + corners[:, other]) / 2, points[elements[:, corners.shape[1] :]]
     off = np.linalg.norm(between[:, :, None] - middles[:, None], axis=3).min(axis=2).max(initial=0.0)
     size = np.linalg.norm(corners[:, one] - corners[:, other], axis=2).max(axis=1, initial=0.0).min(initial=np.inf)
-    return (SECOND[kind], elements[:, : corners.shape[1]]) if off <= STRAIGHT * size else (kind, elements)
+    most = max(STRAIGHT * size, ROUNDED * (float(np.ptp(points, axis=0).max()) if len(points) else 0.0))
+    return (SECOND[kind], elements[:, : corners.shape[1]]) if off <= most else (kind, elements)
 
 
 def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:

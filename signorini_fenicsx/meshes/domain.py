@@ -75,7 +75,7 @@ class Domain:
             there is one.
         unsided: The parts inside the domain of which a condition has to name the side, as the last coordinate does not.
         together: Groups of parts, those of pairs of surfaces: the cells behind each group are on one rank.
-        cut: Which cells of its file are cut into simplices, in words; nothing for none.
+        changed: What has become of other cells of its file than simplices of first order, in words.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -90,7 +90,7 @@ class Domain:
     coarser: "Domain | None" = None
     unsided: frozenset[str] = frozenset()
     together: tuple[tuple[str, ...], ...] = ()
-    cut: str = ""
+    changed: str = ""
 
     def __post_init__(self) -> None:
         """Refuse a mesh far from 0 whose cells are too small for its coordinates (collective).

@@ -289,14 +289,14 @@ def own_domain(
     def about() -> tuple[int, int, int, str]:
         mesh, levels = source.read(h)
         read.append(usable(source, mesh, conditions, sides or {}))
-        return mesh.dim, len(mesh.cells), levels, mesh.cut
+        return mesh.dim, len(mesh.cells), levels, mesh.changed
 
-    dim, size, levels, cut = on_root(comm, about)
+    dim, size, levels, changed = on_root(comm, about)
     check_memory(comm, source.words, dim, size * 2 ** (dim * levels))
     domain = handed_out(comm, read[0] if read else None, source.name, source.made, pairs)
     for _ in range(levels):
         domain = refined_uniformly(domain)
-    return replace(domain, cut=cut)
+    return replace(domain, changed=changed)
 
 
 def usable(

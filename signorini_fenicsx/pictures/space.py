@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.pictures import style
@@ -89,8 +90,11 @@ class Space:
     @property
     def reach(self) -> str:
         """From where to where the domain reaches."""
-        low, high = self.scene.fields.points.min(axis=0), self.scene.fields.points.max(axis=0)
-        sides = (rf"${a:.3g} \leq {x} \leq {b:.3g}$" for x, a, b in zip("xyz", low, high, strict=True))
+        ends = np.stack([self.scene.fields.points.min(axis=0), self.scene.fields.points.max(axis=0)])
+        low, high = np.where(np.abs(ends) < TIE * self.extent, 0.0, ends).tolist()
+        sides = (
+            rf"${style.decimal(a)} \leq {x} \leq {style.decimal(b)}$" for x, a, b in zip("xyz", low, high, strict=True)
+        )
         return with_unit(", ".join(sides), self.scene.plot.length_unit)
 
     @cached_property

@@ -56,6 +56,11 @@ def power(value: float) -> str:
         exponent = round(math.log(value, base)) if value > 0 else 0
         if value > 0 and abs(exponent) > 1 and math.isclose(value, float(base) ** exponent, rel_tol=1e-12):
             return f"{base}^{{{exponent}}}"
+    return decimal(value)
+
+
+def decimal(value: float) -> str:
+    """A number with three digits for mathematical type, without powers of 2 for it."""
     if value == 0 or 1e-3 <= abs(value) < 1e5:
         return f"{value:.3g}"
     mantissa, exponent_text = f"{value:.2e}".split("e")

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -210,6 +211,8 @@ def test_info_check_and_version(folder: Path):
     assert json.loads(signorini(folder, "info", "lprism", "--json").stdout)["dim"] == 3
     checked = signorini(folder, "check", "dam").stdout
     assert "ready" in checked
+    assert re.search(r"cells +edges from \S+ to \S+, the flattest cell 0\.\d+ times as high as long", checked)
+    assert re.search(r"region +core: \d+ cells, measure \d", checked)
     assert "Γ_D" not in checked.split("ready")[1].split("\n", 1)[1]  # `dirichlet` lists its parts
     bad = signorini(folder, "check", "dam", "--set", 'boundary.signorini=["crest"]')
     assert bad.returncode == 2

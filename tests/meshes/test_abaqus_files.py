@@ -94,6 +94,7 @@ def test_second_order(tmp_path: Path):
         encoding="utf-8",
     )
     mesh = read_mesh_file(str(tmp_path / "square.geo"))
+    assert "second order of the mesh file have straight edges" in mesh.changed
     assert len(mesh.parts["slope"]) == 3
     assert mesh.cells.shape[1] == 3
 

@@ -80,7 +80,7 @@ def test_common_faces_are_cut_alike():
     points, hexahedra, right = cubes(3, seed=5)
     contents = Contents(points, [("hexahedron", hexahedra), ("quad", right)], [("right", 2, [(1, np.arange(9))])])
     mesh = checked(contents)  # refuses what does not conform
-    assert mesh.cut == "27 hexahedra"
+    assert mesh.changed == "the 27 hexahedra of the mesh file are cut into simplices"
     assert len(mesh.cells) == 27 * 6
     assert volumes(mesh.points, mesh.cells).sum() == pytest.approx(1)
     assert len(mesh.parts["right"]) == 18
@@ -92,7 +92,7 @@ def test_kinds_beside_one_another():
     pyramid, wedge = np.array([[4, 5, 6, 7, 8]]), np.array([[1, 9, 2, 5, 10, 6]])
     blocks = [("hexahedron", np.arange(8)[None]), ("pyramid", pyramid), ("wedge", wedge)]
     mesh = checked(Contents(points, blocks, []))
-    assert mesh.cut == "1 hexahedra, 1 pyramids, 1 wedges"
+    assert mesh.changed.startswith("the 1 hexahedra, 1 pyramids, 1 wedges of the mesh file are cut")
     assert volumes(mesh.points, mesh.cells).sum() == pytest.approx(1 + 0.2 + 0.5)
 
 
