@@ -124,7 +124,7 @@ def test_from_any_start(monkeypatch: pytest.MonkeyPatch):
     law, random = Friction(["z0"], g=0.03), np.random.default_rng(0)
     expected = twisted(law)
 
-    def anywhere(facets: int) -> Slipping:
+    def anywhere(facets: int, _dim: int) -> Slipping:
         angle, size = random.uniform(0, 2 * np.pi, (facets, 3)), 10 ** random.uniform(-4, 0, (facets, 3))
         sticks = random.uniform(size=(facets, 3, 1)) < 0.3
         return Slipping(np.where(sticks, 0.0, np.stack([np.cos(angle), np.sin(angle)], axis=2)), size)

@@ -187,7 +187,7 @@ class ElasticSolution(Solution):
     @property
     def states(self) -> Indices:
         """The state of these vertices, an index into `STATES`; without shear by the sign of u_t."""
-        if self.data.friction.slipping is not None:
+        if self.data.friction.in_space:
             return np.where(self.data.friction.sticks, STATES.index("stick"), STATES.index("slip"))
         tangential = self.spaces.site_kinds["slip"].of(self.outcome.conditions)
         segments = self.data.friction.chains.segments(tangential).reshape(self.data.friction.bound.shape)

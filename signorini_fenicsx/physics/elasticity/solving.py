@@ -167,7 +167,7 @@ class ElasticRun:
                 f"of what flows through cells {self.task.kept.present.lost:.1e} is lost: the viscosity jumps too far"
             )
         friction = self.task.data.friction
-        if failure is not None and friction and (outcome.converged or friction.slipping is not None):
+        if failure is not None and friction and (outcome.converged or friction.in_space):
             failure = slides(self.task.spaces, self.task.kept.present.data_found()) or failure
         return outcome.ended(failure), kkt
 
@@ -207,7 +207,7 @@ def _coarser(remesh: Remesh, problem: ElasticProblem, wish: Wish, factor: float)
 
 def _most_iterations(spaces: ElasticSpaces, data: ElasticData, method: Method) -> int:
     """Iterations allowed unless the options say otherwise (collective)."""
-    comm, in_space = spaces.mesh.comm, data.friction.slipping is not None
+    comm, in_space = spaces.mesh.comm, data.friction.in_space
     longer = is_large(comm, data.friction) if in_space else data.friction
     sites = comm.allreduce(len(spaces.site_kinds))
     return method.most_iterations(1, sites) * (MORE_WITH_FRICTION if longer else 1)

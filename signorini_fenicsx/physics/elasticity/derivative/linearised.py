@@ -55,7 +55,7 @@ class LinearisedElasticity(HybridLinearised):
         Collective.
         """
         direction, friction, kind = super()._sides(tolerance), self._backend.friction, self._spaces.site_kinds["slip"]
-        if friction.slipping is not None:
+        if friction.in_space:
             iterate, bound = self._solution.outcome.iterate, friction.bound.ravel()
             slip, shear = (np.linalg.norm(kind.of(each).reshape(-1, 2), axis=1) for each in (iterate.p, iterate.flux))
             of_u, of_stress = (tolerance * kind.of(scale)[::2] for scale in self.scales())
@@ -275,6 +275,6 @@ def linearised(solution: ElasticSolution, tolerance: float) -> LinearisedElastic
     backend = solution.kept_backend(ElasticBackend)
     if backend is None:
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning)
-    if backend.friction.slipping is not None:
+    if backend.friction.in_space:
         backend.turn(backend.friction.turned(solution.spaces.site_kinds["slip"].rows_of(solution.outcome.iterate.p)))
     return LinearisedElasticity(solution, backend, backend.chains, tolerance)

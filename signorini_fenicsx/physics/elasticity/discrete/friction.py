@@ -58,9 +58,9 @@ class Slipping:
     pressed: Array | float = 0.0
 
     @classmethod
-    def nowhere(cls, facets: int) -> Slipping:
-        """No slip on so many facets."""
-        return cls(np.zeros((facets, 3, 2)), np.ones((facets, 3)))
+    def nowhere(cls, facets: int, dim: int) -> Slipping:
+        """No slip on so many facets, as in the plane."""
+        return cls(np.zeros((facets, dim, dim - 1)), np.ones((facets, dim)))
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class FrictionBounds:
         texts: The given g that are not linear on facets, each with its name and the rows where it holds.
         by_pressure: Whether g is μ times the pressure somewhere, on any rank.
         somewhere: Whether there is friction, on any rank.
-        slipping: The linear law, in space; None in the plane.
+        slipping: The linear law, in space; in the plane nothing slips by it.
         springs: Stiffness of springs along joints at the vertices, ∞ without, shape (facets, d).
         longest: No u_t is longer.
     """
@@ -87,7 +87,7 @@ class FrictionBounds:
     texts: tuple[tuple[str, Datum, Indices], ...]
     by_pressure: bool
     somewhere: bool
-    slipping: Slipping | None = None
+    slipping: Slipping
     springs: Array | float = np.inf
     longest: float = 1.0
 
@@ -95,9 +95,14 @@ class FrictionBounds:
         return self.somewhere
 
     @property
+    def in_space(self) -> bool:
+        """Whether there is friction whose law turns with the slip, on any rank."""
+        return self.somewhere and self.bound.shape[1] == 3
+
+    @property
     def chains(self) -> Chains:
         """The law of each site, between u_t and σ_t; in space between their components, stick or a given σ_t."""
-        if self.slipping is None:
+        if not self.in_space:
             g, none = np.minimum(self.bound, self.longest * self.springs).ravel(), np.zeros(self.bound.size)
             reach = g / np.broadcast_to(self.springs, self.bound.shape).ravel()
             return Chains.through(np.column_stack([-reach, reach]), np.column_stack([g, -g]), none, none)
@@ -119,40 +124,33 @@ class FrictionBounds:
     @property
     def sticks(self) -> Mask:
         """Mask of the vertices in space at which u_t = 0 is held, shape (facets, 3)."""
-        assert self.slipping is not None
         return (self.bound > 0) & ~self.slipping.direction.any(axis=2)
 
     @property
     def forces(self) -> Array:
         """The constant part of the linear law in space, shape (facets, 3, 2)."""
-        assert self.slipping is not None
         part = np.where(self.sticks, 0.0, self.slipping.pressed - self.bound * self.slipping.turning)
         return part[:, :, None] * self.slipping.direction
 
     @property
     def slopes(self) -> Array:
-        """The derivative of σ_t by the pressure in the linear law in space, shape (facets, d, 2); 0 in the plane."""
-        if self.slipping is None:
-            return np.zeros((*self.bound.shape, 1))
+        """The derivative of σ_t by the pressure in the linear law in space, shape (facets, d, d − 1)."""
         slope = np.broadcast_to(self.slipping.slope, self.bound.shape)
         return -slope[:, :, None] * self.slipping.direction
 
     @property
     def stiffness(self) -> Array:
-        """(g/a)(I − θssᵀ) in space, 0 where nothing slips, shape (facets, 3, 2, 2)."""
-        assert self.slipping is not None
+        """(g/a)(I − θssᵀ), 0 where nothing slips, shape (facets, d, d − 1, d − 1)."""
         s, slope = self.slipping.direction, np.zeros(self.bound.shape)
         slips = s.any(axis=2)
         slope[slips] = (self.bound / self.slipping.size)[slips]
         turning = np.broadcast_to(self.slipping.turning, slope.shape)[:, :, None, None]
-        stiffness: Array = slope[:, :, None, None] * (np.eye(2) - turning * s[:, :, :, None] * s[:, :, None])
+        stiffness: Array = slope[:, :, None, None] * (np.eye(s.shape[2]) - turning * s[:, :, :, None] * s[:, :, None])
         return stiffness
 
     def resisted(self, slip: Array) -> Array:
         """What the linear law in space adds to −σ_t, of u_t at the sites."""
-        if self.slipping is None:
-            return np.zeros_like(slip)
-        shear: Array = np.einsum("nakl,nal->nak", self.stiffness, slip.reshape(-1, 3, 2))
+        shear: Array = np.einsum("nakl,nal->nak", self.stiffness, slip.reshape(self.slipping.direction.shape))
         return shear.ravel()
 
     def pressed(self, pressure: Array) -> Array:
@@ -161,8 +159,6 @@ class FrictionBounds:
 
     def held_across(self, moves: Array) -> Array:
         """What of motions of the sites in space the linear law resists where vertices slip, shape (sites, motions)."""
-        if self.slipping is None:
-            return np.zeros_like(moves)
         s = self.slipping.direction
         at = np.where(
             (s.any(axis=2) & (self.bound > 0))[:, :, None, None], moves.reshape(*s.shape, moves.shape[1]), 0.0
@@ -177,7 +173,7 @@ class FrictionBounds:
         Args:
             segments: Number of the segment of each site with friction.
         """
-        if self.slipping is None:
+        if not self.in_space:
             return np.subtract(1.0, segments)  # σ_t is g, less than g, −g on the segments
         return -self.slipping.direction.ravel()
 
@@ -192,7 +188,7 @@ class FrictionBounds:
             shear: σ_t likewise.
             unit: k, one of u_t is so many of σ_t, shape (facets, d).
         """
-        if self.slipping is None:
+        if not self.in_space:
             _, above, off = self.chains.distances(slip.ravel(), shear.ravel(), unit.ravel())
             return above.reshape(unit.shape), off.reshape(unit.shape)
         size, left = np.linalg.norm(shear, axis=2), shear + shortened(unit[:, :, None] * slip - shear, self.bound)
@@ -200,8 +196,8 @@ class FrictionBounds:
 
     def fixed(self) -> FrictionBounds:
         """The friction with these bounds, whatever the pressure is: Tresca's."""
-        slipping = None if self.slipping is None else Slipping.nowhere(len(self.bound))
-        return replace(self, coulomb=np.zeros_like(self.coulomb), by_pressure=False, slipping=slipping)
+        nowhere = Slipping.nowhere(*self.bound.shape)
+        return replace(self, coulomb=np.zeros_like(self.coulomb), by_pressure=False, slipping=nowhere)
 
     def following(self, pressure: Array) -> FrictionBounds:
         """The bounds by Coulomb's law under this pressure at the vertices, shape (facets, d)."""
@@ -213,7 +209,6 @@ class FrictionBounds:
 
     def turned(self, slip: Array) -> FrictionBounds:
         """The friction in space with Newton's linear law at this u_t, shape (facets, 3, 2), where vertices slip."""
-        assert self.slipping is not None
         return self.along(np.where(self.slipping.direction.any(axis=2)[:, :, None], slip, 0.0))
 
     def along(self, slip: Array) -> FrictionBounds:
@@ -302,8 +297,8 @@ def friction_bounds(
     number = len(rough.facets)
     coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
     none = np.zeros((number, dim))
-    slipping = Slipping.nowhere(number) if dim == 3 and rubbing else None
-    bounds = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), slipping)
+    nowhere = Slipping.nowhere(number, dim)
+    bounds = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), nowhere)
     texts = []
     for of_law, law in rubbing:
         key = "mu" if isinstance(law, CoulombLaw) else "g"

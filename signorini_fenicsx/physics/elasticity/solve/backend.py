@@ -99,7 +99,7 @@ class ElasticBackend(TraceBackend):
     @property
     def by_sets(self) -> bool:
         """Whether the law of friction is not that of space, which turns."""
-        return self.friction.slipping is None
+        return not self.friction.in_space
 
     @property
     def on_facets(self) -> list[tuple[Kind, VertexLaws]]:
@@ -285,9 +285,8 @@ class ElasticBackend(TraceBackend):
         posed = super().posed(conditions)
         stiffness, shares = posed.imposed.springs, np.append(np.zeros(len(self._normal)), self.friction.slopes)
         stiffness += np.where(self._near == np.arange(self.sites)[:, None], weak[:, None], 0.0)
-        if self.friction.slipping is not None:
-            turning = self.friction.stiffness.reshape(-1, 2) * self._slip.measure[:, None]
-            self._slip.of(stiffness)[:, :2] += turning
+        turning = self.friction.stiffness.reshape(-1, self.spaces.dim - 1) * self._slip.measure[:, None]
+        self._slip.of(stiffness)[:, : turning.shape[1]] += turning
         imposed = replace(posed.imposed, springs=stiffness, shares=shares)
         return replace(posed, imposed=imposed, weak=weak, loose=loose)
 

@@ -78,7 +78,7 @@ class ElasticTask(Task):
         """
         friction, spaces = backend.friction, self.spaces
         carried = {"bound": friction.bound}
-        if friction.slipping is not None and not friction.by_pressure:
+        if friction.in_space and not friction.by_pressure:
             carried["slip"] = spaces.along(friction.slipping.direction * friction.slipping.size[:, :, None])
         spread = spaces.site_kinds["slip"].spread
         return Segments(spaces, segment, {name: spread(rows) for name, rows in carried.items()})
@@ -90,7 +90,7 @@ class ElasticTask(Task):
     def solved(self, backend: ElasticBackend, loop: Loop) -> Outcome:
         """Run the loop, with Coulomb's friction in the plane once for each bound of the shear (collective)."""
         self.changes.clear()
-        if backend.friction.slipping is not None:
+        if backend.friction.in_space:
             return slipped(backend, lambda follow: loop(None, follow), self.changes, self.max_iterations)
         outcome = balanced(backend, loop, self.changes)
         found = not self.changes or self.changes[-1] <= CHANGE
