@@ -387,7 +387,7 @@ def _prepared(solution: Solution, v: fem.Function) -> Callable[[], Proven | None
         raise InputError("the proof is for the law of Signorini alone")
     if solution.data.c_h is not None:
         raise InputError("the proof is for c = 0 alone")
-    if solution.data.inside is not None:
+    if solution.data.inside:
         raise InputError("the proof is for problems without an obstacle and other laws in Ω")
     given = Given.of(solution.data.trees, FromArb())
     discrete = gathered(solution, v)

@@ -203,7 +203,7 @@ class DiffusionSteps:
         It is what is left of the s of all laws in Ω after those of which u tells s.
         """
         content, laws, step = np.zeros(len(self.capacity)), solution.data.inside, solution.step
-        if not self.storage or laws is None or step is None:
+        if not self.storage or step is None:
             return content
         u, a = owned_values(solution.u), self.rate(step)
         s = solution.cell_flux.divergence + owned_values(solution.data.source(solution.u))
@@ -234,7 +234,7 @@ class DiffusionSteps:
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, the segments on which the step has ended, and θ if there is storage."""
         on, names = solution.segments(), {"facet_own": "facet"}
-        if solution.data.inside is not None:
+        if solution.data.inside:
             names["own"] = "cell"
         kinds = {key: self.spaces.site_kinds[name] for key, name in names.items()}
         segments = {key: on.of(names[key]).reshape(kind.count, *kind.shape) for key, kind in kinds.items()}
@@ -273,7 +273,7 @@ class DiffusionSteps:
             InputError: If there are other laws in Ω besides one of storage.
         """
         by_s, laws, step = np.zeros_like(by), solution.data.inside, solution.step
-        if self.storage and laws is not None and step is not None:
+        if self.storage and step is not None:
             if len(laws.of_regions) > 1:
                 raise InputError("derivatives in time: there are none with storage beside other laws in Ω")
             rows = self.storage[0][0].rows

@@ -86,7 +86,7 @@ def _at_vertices(solution: LinearSolution) -> Arrays:
     memory = solution.data.memory
     rows = {"u_at": solution.u_values, "sigma_at": solution.sigma_values}
     rows |= {} if memory is None else {"memory_at": solution.spaces.scalar_values(memory)}
-    if solution.data.cells_at is None:
+    if not solution.data.inside:
         return rows
     return rows | {"segment_at": solution.spaces.site_kinds["cell"].rows_of(solution.segments().segment)}
 
@@ -110,7 +110,7 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     law = data.laws_at.chains.with_penalty(options.method.penalty, options.eps)
     segment = law.nearest(condition.ravel().astype(np.int8), means - data.laws_at.p_h, flux)
     above = data.laws_at.own(data.laws_at.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
-    if data.cells_at is not None:
+    if data.inside:
         in_cells = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
         at_cells = np.clip(stored.in_cells(spaces, "segment_at").ravel(), 0, data.cells_at.chains.count)
         pair = data.cells_at.own(at_cells, *in_cells), in_cells[1]

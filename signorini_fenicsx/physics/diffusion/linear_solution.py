@@ -55,7 +55,7 @@ class LinearSolution(Solution):
         """
         from signorini_fenicsx.physics.diffusion.derivative.linear_fluxes import linearised  # which knows solutions
 
-        if self.step is not None or self.data.inside is not None:
+        if self.step is not None or self.data.inside:
             raise InputError("element: with RT1 there are no derivatives in time, nor with laws in Ω; take RT0")
         return linearised(self, tolerance)
 
@@ -136,15 +136,12 @@ class LinearSolution(Solution):
     @property
     def cell_segments(self) -> Indices:
         """The segment of each owned cell: the median of those of its vertices; empty without laws in Ω."""
-        if self.data.cells_at is None:
-            return np.empty(0, dtype=np.int64)
         rows = self.spaces.site_kinds["cell"].rows_of(self.segments().segment)
         return np.asarray(np.sort(rows, axis=1)[:, rows.shape[1] // 2])
 
     @property
     def cell_conditions(self) -> SiteConditions:
         """The conditions of the owned cells, by their segments."""
-        assert self.data.inside is not None
         return self.data.inside.chains.conditions(self.cell_segments)
 
     @property
@@ -156,8 +153,6 @@ class LinearSolution(Solution):
     @property
     def held_cells(self) -> Mask:
         """Mask of the owned cells on a segment where a law holds u, see `Solution.held_cells`."""
-        if self.data.cells_at is None:
-            return np.empty(0, dtype=bool)
         kinds = self.data.cells_at.chains.kinds[:: self.spaces.dim + 1]
         return np.asarray(kinds[np.arange(len(kinds)), self.cell_segments] == Condition.ZERO_TRACE)
 
@@ -173,7 +168,7 @@ class LinearSolution(Solution):
         It is exactly what the law says at vertices on flat segments, such as 0 off an obstacle.
         """
         zero = np.zeros((len(self.spaces.order), self.spaces.dim + 1))
-        force = self.spaces.scalar(zero if self.data.cells_at is None else self.force_at)
+        force = self.spaces.scalar(self.force_at if self.data.inside else zero)
         force.name = "force"
         return force
 
@@ -181,7 +176,7 @@ class LinearSolution(Solution):
     def in_regions(self) -> dict[str, dict[str, Any]]:
         """Number and measure of the vertices of cells on each segment of each law in Ω (collective)."""
         kind, laws, states = self.spaces.site_kinds["cell"], self.data.inside, {}
-        for part in laws.of_regions if laws is not None else ():
+        for part in laws.of_regions:
             segment, measure = part.law.named(self.segments_of_law(part)), kind.measure[self._sites(part)]
             states[part.name] = by_state(self.spaces.mesh.comm, part.law.segments, segment, measure, "vertices")
         return states
@@ -194,7 +189,6 @@ class LinearSolution(Solution):
     def segments_of_law(self, part: PartLaw) -> Indices:
         """The segment of one law in Ω that each vertex of its cells is on (collective)."""
         laws, sites = self.data.inside, self._sites(part)
-        assert laws is not None
         if len(laws.of_regions) == 1:
             return self.segments().of("cell")[sites]
         alone = at_vertices(self.spaces, replace(laws, of_regions=(part,)))

@@ -219,7 +219,7 @@ class Solution(AnySolution):
         if exact is None:
             return None
         norms = exact_errors(self, exact)
-        if data.inside is None or not data.inside.bounds_alone:
+        if not data.inside.bounds_alone:
             return norms
         return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, self.held_cells)}
 
@@ -252,7 +252,7 @@ class Solution(AnySolution):
     @collector_off()
     def free_boundary(self) -> npt.NDArray[np.int32]:
         """The owned facets between cells on different segments of their laws in Ω (collective)."""
-        if self.data.inside is None:
+        if not self.data.inside:
             return np.empty(0, dtype=np.int32)
         space, segment = self.spaces.crouzeix_raviart, self.cell_segments
         of_cells, index_map = np.column_stack([np.ones(len(segment)), segment, segment**2]), space.dofmap.index_map
@@ -267,7 +267,7 @@ class Solution(AnySolution):
         It is exactly what the law says in cells on flat and sloped segments, such as 0 off an obstacle.
         """
         laws, force = self.data.inside, fem.Function(self.spaces.Q, name="force")
-        if laws is not None:
+        if laws:
             divergence = self.cell_flux.divergence
             beta, load = laws.as_linear(self.cell_conditions)
             held = np.isinf(beta)
@@ -283,7 +283,7 @@ class Solution(AnySolution):
         """
         states: dict[str, dict[str, Any]] = {}
         spaces, laws = self.spaces, self.data.inside
-        for part in laws.of_regions if laws is not None else ():
+        for part in laws.of_regions:
             segment, measure = part.law.named(self.segments_of_law(part)), spaces.cell_measures[part.rows]
             states[part.name] = by_state(spaces.mesh.comm, part.law.segments, segment, measure, "cells")
         return states
@@ -291,7 +291,7 @@ class Solution(AnySolution):
     def segments_of_law(self, part: PartLaw) -> Indices:
         """The segment of one law in Ω that each of its cells is on (collective)."""
         laws, rows = self.data.inside, part.rows
-        if laws is not None and len(laws.of_regions) == 1:
+        if len(laws.of_regions) == 1:
             return self.segments().of("cell")[rows]
         chains = np.concatenate([part.chains(points).p for points in part.quadrature(self.spaces, 1)])
         return corners_passed(chains, owned_values(self.u)[rows])
@@ -317,7 +317,7 @@ class Solution(AnySolution):
     @collector_off()
     def sites_in_contact(self) -> tuple[int, float]:
         """Number of facets in contact, with laws in Ω of cells that they hold, and their measure (collective)."""
-        if self.data.inside is None:
+        if not self.data.inside:
             return super().sites_in_contact()
         cells = self.on_obstacle()
         return int(cells["contact_cells"]), cells["contact_measure"]
@@ -353,8 +353,6 @@ class Solution(AnySolution):
         Of an obstacle the cells in contact and its force, of other laws the measures of the cells on each segment, and
         of water what flows in.
         """
-        if self.data.inside is None:
-            return of_step(self)
         if not self.data.inside.is_obstacle:
             of_laws = self.in_regions().items()
             sizes = {f"{law} {name}": on["measure"] for law, of in of_laws for name, on in of.items()}
@@ -391,11 +389,9 @@ class Solution(AnySolution):
 
     def _inside(self) -> dict[str, Any]:
         """The contact with an obstacle, or the cells on the segments of other laws in Ω."""
-        if self.data.inside is None:
-            return {}
         if self.data.inside.is_obstacle:
             return {"obstacle": self.on_obstacle()}
-        return {"regions": self.in_regions()}
+        return {"regions": self.in_regions()} if self.data.inside else {}
 
     def notes(self) -> list[str]:
         """See `Solved.notes`."""

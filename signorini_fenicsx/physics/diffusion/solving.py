@@ -105,14 +105,14 @@ class System:
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
         if linear:
-            lacking = _lacking(options, inside=data.inside is not None)
+            lacking = _lacking(options, inside=bool(data.inside))
             if lacking:
                 instead = "pairs take alg1 to alg4 and vi" if self.boundary.pairs else "take RT0"
                 raise InputError(f"element: {lacking}; {instead}")
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
         constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
-        in_cells = data.inside is not None
+        in_cells = bool(data.inside)
         made_for = options.backend, linear, options.tuning, in_cells
         task: Any = (LinearTask if linear else DiffusionTask)(
             spaces=spaces,
@@ -375,7 +375,7 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
         InputError: If there is none, or the method cannot.
     """
     method = options.method
-    if data.inside is not None and not method.laws_inside:
+    if data.inside and not method.laws_inside:
         what = "an obstacle" if data.inside.is_obstacle else "laws in Ω"
         raise InputError(f"{options.algorithm_name} does not take {what}; {those(lambda other: other.laws_inside)} do")
     if data.quasilinear is not None and (

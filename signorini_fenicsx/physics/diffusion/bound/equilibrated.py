@@ -41,6 +41,7 @@ from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values, means_in_cells
+from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -114,7 +115,7 @@ def _level(solution: Solution, flux: LinearFlux, u: fem.Function) -> Array:
         return means
     c_h, most = owned_values(data.c_h), np.abs(cell_values(u)).max(axis=1)
     off = flux.divergence.mean(axis=1) + owned_values(data.f_h) - c_h * means
-    if data.inside is not None:
+    if data.inside:
         off += means_in_cells(solution.force())
     near = np.abs(off) <= c_h * most
     return means + np.divide(off, c_h, out=np.zeros_like(off), where=near & (c_h > 0))
@@ -139,7 +140,7 @@ def _balanced(
     for _ in range(CORRECTIONS):
         s, may = flux.divergence + owned_values(data.source(u)), None
         off = s
-        if data.inside is not None:
+        if data.inside:
             off = s - selected(solution, data.inside, s, owned_values(u), metric)
             may = room(data.inside, solution.cell_conditions, s, owned_values(u))
         left = constant * np.sqrt(comm.allreduce(volume @ off**2))
@@ -216,13 +217,13 @@ def balancing_flux(
         LinearSolveFailure: If the solve fails.
     """
     spaces, data = _lowest(spaces, Spaces), _lowest(data, Data)
-    kind, inside = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8), None
+    kind, inside = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8), CellLaws()
     if not data.holds(spaces):
         flux = spaces.normal_flux(y)
         excess = np.minimum(flux - limits[0], limits[1] - flux)
         excess[spaces.inner.rows] = 0.0  # what flows through these stays in the domain
         kind = _most_room(excess, spaces.mesh.comm)
-        if data.inside is not None and may is not None:
+        if may is not None:
             number = len(may)
             inside = replace(data.inside, means=np.zeros(number), chains=Chains.at_corner(number))
             kind = np.append(kind, _most_room(may, spaces.mesh.comm))
@@ -291,7 +292,7 @@ def load_left(
         bound = math.sqrt(comm.allreduce(volume @ squares))
     if not spaces.held or not np.isfinite(whole) or bound <= enough:
         return bound
-    bounds = _Bounds(spaces, replace(data, c_h=None, inside=None), metric)
+    bounds = _Bounds(spaces, replace(data, c_h=None, inside=CellLaws()), metric)
     try:
         bound = min(bound, bounds.constant() * whole)
         if bound > enough:

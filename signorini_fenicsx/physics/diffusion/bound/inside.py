@@ -142,7 +142,7 @@ class Inside:
     ) -> "Inside":
         """The laws with a flux, with u* as `level` (collective)."""
         spaces, data, laws = solution.spaces, solution.data, solution.data.inside
-        if laws is None:
+        if not laws:
             none = np.zeros((2, len(spaces.cell_measures)))
             return cls(spaces, (), none[0], Chains.at_corner(0), none[0].astype(np.int64), (), none[1], none[1] > 0)
         u, divergence, tilt, s_tilt = owned_values(level), CellFlux.of(spaces, y).divergence, None, None

@@ -81,7 +81,7 @@ class _NotThere(Exception):
 def linear_solution(solution: Solution) -> Solution | None:
     """The solution of the problem for w, on the same mesh; None where there is no such problem (collective)."""
     data, problem = solution.data, solution.problem
-    if data.quasilinear is None or data.b is not None or data.c_h is not None or data.inside is not None:
+    if data.quasilinear is None or data.b is not None or data.c_h is not None or data.inside:
         return None
     if solution.step is not None or solution.boundary.inner or any(type(law) not in OF_U for law in problem.laws):
         return None

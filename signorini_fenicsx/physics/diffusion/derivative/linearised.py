@@ -68,7 +68,7 @@ class LinearisedDiffusion(Linearised):
     def refused(self, _chains: Chains) -> Mask:
         """The biactive cells, if there are several laws in Ω."""
         inside, refused = self._data.inside, self.biactive.copy()
-        refused[: len(self._spaces.facets) if inside is not None and len(inside.of_regions) > 1 else None] = False
+        refused[: len(self._spaces.facets) if len(inside.of_regions) > 1 else None] = False
         return refused
 
     def plain(self) -> Iterator[tuple[str, Seen]]:
@@ -88,11 +88,11 @@ class LinearisedDiffusion(Linearised):
 
     def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
         """See `Linearised.lines`; of several laws in a cell a steep one says all (collective)."""
-        solution, facets, inside = self._solution, len(self._spaces.facets), self._data.inside
+        solution, facets = self._solution, len(self._spaces.facets)
         at, penalty = np.append(solution.p.x.array[:facets], owned_values(solution.u)), solution.method.penalty
         ends = None if penalty is None else penalty.slopes(solution.options.eps)
         held = np.isinf(np.take_along_axis(self._law.slope, segment[:, None], axis=1)[:, 0])
-        for part in (*self._data.laws.of_parts, *(() if inside is None else inside.of_regions)):
+        for part in (*self._data.laws.of_parts, *self._data.inside.of_regions):
             sites = part.rows + (facets if part.law.region else 0)
             on = segment[sites]
             if part.law.region:
@@ -126,11 +126,11 @@ class LinearisedDiffusion(Linearised):
         forces = loads.forces.copy()
         forces[dofs] += facets.of(pulled) * spaces.facet_measure
         loads = replace(loads, jumps=loads.jumps + on_facets[cell_dofs(space)], forces=forces)
-        if data.inside is not None:
+        if data.inside:
             loads = replace(loads, source=loads.source + cells.of(pulled), held=cells.of(trace))
         sigma, u, traces = self._backend.respond(conditions, loads)
         p, flux, of_u = traces[dofs] + facets.of(trace), spaces.normal_flux(sigma), owned_values(u)
-        if data.inside is not None:  # there σ·n is −s = −∇·σ − f + cu
+        if data.inside:  # there σ·n is −s = −∇·σ − f + cu
             c = 0.0 if data.c_h is None else owned_values(data.c_h)
             minus_s = c * of_u - loads.source + cells.of(pulled) - self._out_of(sigma) / spaces.cell_measures
             p, flux = np.append(p, of_u), np.append(flux, minus_s)
@@ -172,11 +172,11 @@ class LinearisedDiffusion(Linearised):
             cells_and_dofs(spaces.crouzeix_raviart, listed)[1] for listed in (spaces.facets, spaces.neumann_facets)
         )
         on_p, on_u = by_p.x.array[: len(facets)].copy(), owned_values(by_u).copy()
-        held = self._held[len(facets) :] if data.inside is not None else np.zeros(len(u), dtype=bool)
+        held = self._held[len(facets) :] if data.inside else np.zeros(len(u), dtype=bool)
         of_s = np.zeros_like(u)  # in held cells, where s = ∇·σ + f − cu
         if besides is not None:
             on_u += besides[0]
-            if data.inside is not None:
+            if data.inside:
                 slope = np.take_along_axis(self._law.slope, self._segment[:, None], axis=1)[len(facets) :, 0]
                 on_u += np.where(held, 0.0, slope) * besides[1]
                 of_s = np.where(held, besides[1], 0.0)
@@ -269,7 +269,7 @@ class LinearisedByU(LinearisedDiffusion):
             InputError: For terms cu, laws in Ω and steps in time.
         """
         data = solution.data
-        if data.c_h is not None or data.inside is not None or solution.step is not None:
+        if data.c_h is not None or data.inside or solution.step is not None:
             raise InputError("derivatives: there are none where κ depends on u with terms cu, laws in Ω, or in time")
         inverse = np.asarray(inverses(data.matrices(solution.spaces)))
         traces = owned_values(solution.u)[:, None] + solution.cell_flux.tested(inverse)

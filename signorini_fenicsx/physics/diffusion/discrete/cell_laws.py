@@ -6,7 +6,7 @@ obstacle its force. What is linear in u, s = cu, is no condition: it stands in t
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -36,17 +36,20 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class CellLaws:
-    """The laws in Ω of a problem, but for reactions.
+    """The laws in Ω of a problem, but for reactions; without any no cell is a site, and it is false.
 
     Attributes:
         of_regions: Each law with its cells.
-        means: u_T at the reference of each owned cell: of its first law, 0 without one.
-        chains: The sum of the laws of each owned cell, between u_T − its reference and −s_T.
+        means: u_T at the reference of each cell that is a site: of its first law, 0 without one.
+        chains: The sum of the laws of each such cell, between u_T − its reference and −s_T.
     """
 
-    of_regions: tuple[PartLaw, ...]
-    means: Array
-    chains: Chains
+    of_regions: tuple[PartLaw, ...] = ()
+    means: Array = field(default_factory=lambda: np.empty(0))
+    chains: Chains = field(default_factory=lambda: Chains.at_corner(0, before=0.0))
+
+    def __bool__(self) -> bool:
+        return len(self.of_regions) > 0
 
     def less(self, constant: float) -> "CellLaws":
         """The laws of the problem for u − constant."""
@@ -59,8 +62,8 @@ class CellLaws:
 
     @property
     def bounds_alone(self) -> bool:
-        """Whether all of them are obstacles."""
-        return all(type(part.law) is Obstacle for part in self.of_regions)
+        """Whether there are laws, all of them obstacles."""
+        return bool(self) and all(type(part.law) is Obstacle for part in self.of_regions)
 
     def as_linear(self, conditions: SiteConditions) -> tuple[Array, Array]:
         """The laws under conditions as s = βu − q: β, ∞ where u_T is given, and q or that u_T, per owned cell.
@@ -74,8 +77,8 @@ class CellLaws:
         return np.where(held, np.inf, beta), np.where(held, self.means + values, values + beta * self.means)
 
 
-def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum, on_parts: Sequence[PartLaw]) -> CellLaws | None:
-    """The laws in Ω, but for reactions; None if there are none (collective).
+def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum, on_parts: Sequence[PartLaw]) -> CellLaws:
+    """The laws in Ω, but for reactions (collective).
 
     Args:
         spaces: The discrete spaces.
@@ -94,7 +97,7 @@ def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum, on_parts: Sequence[P
     if any(isinstance(law, Storage) for _, law in laws):
         raise InputError("storage: this law is of problems in time, which `evolve` solves")
     if not laws:
-        return None
+        return CellLaws()
     number = len(spaces.cell_measures)
     means, has_law = np.zeros(number), np.zeros(number, dtype=bool)
     chains, of_regions = Chains.at_corner(number, before=0.0), []
@@ -149,13 +152,13 @@ def cells_of(spaces: Spaces, law: Law, name: str) -> Indices:
 
 
 def at_vertices(spaces: LinearSpaces, laws: CellLaws) -> VertexLaws:
-    """The laws at the vertices of all owned cells, between u and −s (collective).
+    """The laws at the vertices of all owned cells, of none without laws in Ω, between u and −s (collective).
 
     Raises:
         InputError: If the laws of a vertex leave no u.
     """
     size, cells = spaces.dim + 1, Hats(spaces.order, spaces.cell_measures)
-    number, alone = size * len(spaces.order), len(laws.of_regions) == 1 and laws.chains.plain
+    number, alone = size * len(laws.means), len(laws.of_regions) == 1 and laws.chains.plain
     means, has_law, chains = np.zeros(number), np.zeros(number, dtype=bool), Chains.at_corner(number, before=0.0)
     for part in laws.of_regions:
         rows = (size * part.rows[:, None] + np.arange(size)).ravel()

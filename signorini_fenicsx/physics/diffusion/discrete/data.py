@@ -69,7 +69,7 @@ class Data:
         psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
         q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
         laws: The laws on Γ_S.
-        inside: The laws in Ω but for reactions, which are in c; None if there are none.
+        inside: The laws in Ω but for reactions, which are in c.
         conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
         total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
             same with the largest flux, often ∞; less the s that laws in Ω allow. Exactly 0 if it is only rounding.
@@ -98,7 +98,7 @@ class Data:
     psi_h: Array
     q_Sh: Array
     laws: BoundaryLaws
-    inside: CellLaws | None
+    inside: CellLaws
     conductance: float
     total_load: tuple[float, float]
     exact: Datum | None
@@ -111,8 +111,7 @@ class Data:
     @property
     def chains(self) -> Chains:
         """The law of each site: of each facet of Γ_S and, with laws in Ω, of each owned cell."""
-        facets = self.laws.chains
-        return facets if self.inside is None else facets.followed_by(self.inside.chains)
+        return self.laws.chains.followed_by(self.inside.chains)
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""
@@ -264,8 +263,7 @@ class Data:
 
         Collective.
         """
-        in_cells = np.empty(0) if self.inside is None else self.inside.means
-        means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
+        means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], self.inside.means]
         low, high = extent(np.concatenate(means), spaces.mesh.comm)
         return (low, high) if low <= high else (0.0, 0.0)
 
@@ -302,7 +300,7 @@ class Data:
             f_h=f_h,
             u_lift=u_lift,
             psi_h=psi_h,
-            inside=self.inside and self.inside.less(constant),
+            inside=self.inside.less(constant),
             quasilinear=self.quasilinear and replace(self.quasilinear, constant=self.quasilinear.constant + constant),
         )
 
@@ -347,8 +345,8 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     boundary = known.get("boundary", on_boundary, lambda: _boundary(spaces, problem))
     laws, q_Sh, sigma_lift = (boundary[name] for name in ("laws", "q_Sh", "sigma_lift"))
     given_flux = sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
-    inside: CellLaws | None = boundary["inside"]
-    in_cells = (0.0, 0.0) if inside is None else inside.chains.extent()[2:]
+    inside: CellLaws = boundary["inside"]
+    in_cells = inside.chains.extent()[2:] if inside else (0.0, 0.0)
     lowest, highest = (
         total(
             np.concatenate(

@@ -29,7 +29,7 @@ class LinearData(Data):
 
     Attributes:
         laws_at: The laws on Γ_S at the vertices of facets.
-        cells_at: The laws in Ω at the vertices of cells; None without any.
+        cells_at: The laws in Ω at the vertices of cells, of none without laws.
         lift: û where it is given, and at the reference of its law on Γ_S, 0 elsewhere: unknowns of this rank, ghosts
             too.
         load: ⟨g_N, q⟩ for each owned unknown q, and the fluxes at the references of the laws.
@@ -39,7 +39,7 @@ class LinearData(Data):
     """
 
     laws_at: VertexLaws
-    cells_at: VertexLaws | None
+    cells_at: VertexLaws
     lift: Array
     load: Array
     given_flux: Array
@@ -49,8 +49,7 @@ class LinearData(Data):
     @property
     def chains(self) -> Chains:
         """The law of each facet vertex of Γ_S and, with laws in Ω, of each vertex of each owned cell."""
-        facets = self.laws_at.chains
-        return facets if self.cells_at is None else facets.followed_by(self.cells_at.chains)
+        return self.laws_at.chains.followed_by(self.cells_at.chains)
 
     def products(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(κ⁻¹τ, τ') for all pairs of the basis on cells, shape (cells, basis, basis) (collective)."""
@@ -122,7 +121,6 @@ class LinearData(Data):
         Returns:
             The means of u by the hats, less the references, and the values of −s, shape (sites,) each.
         """
-        assert self.cells_at is not None
         s, free = np.empty_like(u), reference(spaces.dim).free
         for numbers in blocks_of_cells(spaces.mesh):
             cells = Cells(spaces.vertices[numbers])
@@ -142,7 +140,7 @@ class LinearData(Data):
         given = np.concatenate([spaces.unknowns(spaces.dirichlet).ravel(), spaces.site_kinds.unknown[outer]])
         means = super().less(spaces, constant)
         assert isinstance(means, LinearData)
-        inside = self.cells_at and replace(self.cells_at, p_h=self.cells_at.p_h - constant)
+        inside = replace(self.cells_at, p_h=self.cells_at.p_h - constant)
         return replace(means, constant=constant, cells_at=inside)._moved(
             spaces, given, self.lift[given] - constant, p_h
         )
@@ -242,7 +240,7 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     linear = LinearData(
         **given,
         laws_at=laws,
-        cells_at=None if data.inside is None else at_vertices(spaces, data.inside),
+        cells_at=at_vertices(spaces, data.inside),
         lift=lift.x.array.astype(np.float64),
         load=load.array[:owned].copy(),
         given_flux=given_flux,

@@ -50,9 +50,9 @@ def sources(spaces: Spaces, data: Data, conditions: SiteConditions | None = None
     """The sources of −∇·σ + c_h u + s = f_h, with the laws in Ω under conditions on the cells; without these s = 0."""
     moments, z = mean_moments(spaces, data), data.jumps(spaces)
     jumps = 0.0 if z is None else z.mean(axis=1)
-    if data.c_h is None and data.inside is None:
+    if data.c_h is None and not data.inside:
         return Sources(None, data.f_h, moments, jumps)
-    if data.inside is not None and conditions is not None:
+    if data.inside and conditions is not None:
         beta, load = data.inside.as_linear(conditions)
         held = np.isinf(beta)
         c = np.where(held, 0.0, beta) + (0.0 if data.c_h is None else owned_values(data.c_h))

@@ -350,7 +350,7 @@ def _of_v(admissible: Admissible, hidden: Array, enough: float) -> list[float]:
         total[0] -= product.sum()
         largest = np.abs(cell_values(load)).reshape(len(cells), -1).max(axis=1)
         total[1] += largest * spaces.cell_measures @ near.off
-    for part in () if data.inside is None else data.inside.of_regions:
+    for part in data.inside.of_regions:
 
         def energy_of(at: CellPoints, jet: Array, part: PartLaw = part) -> Array:
             return energies(part, at, jet[:, :, 0])
@@ -384,8 +384,8 @@ def _of_energy(solution: Solution, goal: Goal) -> float:
     Here u is the function with the gradient κ_h⁻¹σ_h and the mean u_h on each cell.
     """
     spaces, data, mesh = solution.spaces, solution.data, solution.spaces.mesh
-    laws = () if data.inside is None else data.inside.of_regions
-    given = (data.f, data.c, data.g_N, *(datum for part in (*laws, *goal.parts) for datum in part.data.values()))
+    laws = (*data.inside.of_regions, *goal.parts)
+    given = (data.f, data.c, data.g_N, *(datum for part in laws for datum in part.data.values()))
     degree = quadrature_degree(*given)
     rule = positive_quadrature(mesh.basix_cell(), degree)
     metric = cell_metric(spaces, data)

@@ -59,7 +59,7 @@ def exact_errors(solution: "Solution", exact: Datum) -> dict[str, float]:
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
     names = ("energy", "sigma_L2", "div_sigma_L2", "u_L2", "u_potential_L2", "p_L2")
     by_name = dict(zip(names, norms, strict=True))
-    if data.memory is not None or data.inside is not None:
+    if data.memory is not None or data.inside:
         del by_name["div_sigma_L2"]
     if not spaces.joints:
         by_name["contact_hausdorff"] = hausdorff(solution.contact_set(), exact_contact(spaces, data, exact))

@@ -8,8 +8,7 @@ from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 def notes_of(spaces: Spaces, data: Data) -> list[str]:
     """Where u_D jumps, or a bound of u on Γ_S or in Ω (collective)."""
     notes = jump_in_words(spaces, "u_D", data.u_D, spaces.dirichlet_facets, NO_TRACE)
-    of_regions = () if data.inside is None else data.inside.of_regions
-    for part in (*data.laws.of_parts, *of_regions):
+    for part in (*data.laws.of_parts, *data.inside.of_regions):
         entities = part.rows.astype("int32") if part.law.region else spaces.facets[part.rows]
         for key, datum in part.data.items():
             if any(datum is bound for bound in part.bounds):

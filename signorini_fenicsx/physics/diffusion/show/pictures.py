@@ -112,7 +112,7 @@ def _on_gamma(scene: Scene, water: Pools | None) -> list[Panel]:
 def segments(scene: Scene) -> list[Panel]:
     """The cells of each law in Ω by its segments."""
     laws, found = getattr(scene.solution.data, "inside", None), []
-    for part in () if laws is None else laws.of_regions:
+    for part in laws.of_regions:
         of_cells, where = scene.fields.in_cells[SEGMENTS + part.name], " and ".join(part.law.region)
         colours = {"no law": "0.92", **style.colours_of(part.titles())}
         names = ["no law", *part.titles()]
@@ -212,7 +212,7 @@ def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
 def columns_of_cells(solution: Any) -> dict[str, str]:
     """What the measures of cells are called that `Solution.of_step` gives."""
     laws = getattr(solution.data, "inside", None)
-    if laws is None:
+    if not laws:
         return {}
     if laws.is_obstacle:
         return {"cells_measure": "contact with the obstacle"}

@@ -77,7 +77,7 @@ def of_water(solution: Solution) -> list[Field]:
 def _inside(solution: Solution) -> list[Field]:
     """Fields of laws in Ω: of an obstacle the contact and its force, else segments and s (collective)."""
     laws = solution.data.inside
-    if laws is None:
+    if not laws:
         return []
     force = cell_values(solution.force())
     if laws.is_obstacle:
@@ -152,7 +152,7 @@ def columns(solution: Solution, table: GammaTable) -> Columns:
 
 def other_tables(solution: Solution) -> dict[str, Columns]:
     """`free_boundary.csv` of laws in Ω, see `Solved.other_tables` (collective)."""
-    return {} if solution.data.inside is None else {"free_boundary": free_boundary(solution)}
+    return {"free_boundary": free_boundary(solution)} if solution.data.inside else {}
 
 
 def free_boundary(solution: Solution) -> Columns:
@@ -174,8 +174,7 @@ def free_boundary(solution: Solution) -> Columns:
 
 def edges_of(solution: Solution) -> str:
     """What the lines between cells on different segments are called in pictures."""
-    laws = solution.data.inside
-    return "edge of the contact" if laws is not None and laws.bounds_alone else "fronts"
+    return "edge of the contact" if solution.data.inside.bounds_alone else "fronts"
 
 
 def traces(solution: Solution) -> dict[int, Kind]:
@@ -205,7 +204,7 @@ def drawn(solution: Solution) -> Drawn:
     """The solution for pictures (collective)."""
     laws = solution.data.laws
     u, laws_inside = solution.u_vertices, solution.data.inside
-    if laws_inside is not None and all(
+    if laws_inside and all(
         given.number is not None for part in laws_inside.of_regions for given in part.data.values()
     ):  # u is constant where it is held, and a line of this level is to end there
         u = np.where(solution.held_cells[:, None], owned_values(solution.u)[:, None], u)
@@ -231,7 +230,7 @@ SEGMENTS = "segments of "
 def in_cells(solution: Any) -> dict[str, npt.NDArray]:
     """Values for pictures of laws in Ω: where u is held, states, of each law its segment, 0 elsewhere (collective)."""
     laws = solution.data.inside
-    if laws is None:
+    if not laws:
         return {}
     found = {"contact": solution.held_cells, "states": solution.cell_segments}
     for part in laws.of_regions:

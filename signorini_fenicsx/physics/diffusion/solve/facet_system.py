@@ -67,7 +67,7 @@ class FacetSystem(TraceSystem):
     @property
     def follows_cells(self) -> bool:
         """Whether conditions of cells, or u, change the matrix."""
-        return self._data.inside is not None or self._data.quasilinear is not None
+        return bool(self._data.inside) or self._data.quasilinear is not None
 
     @property
     def lift(self) -> Array:
@@ -126,7 +126,7 @@ class FacetSystem(TraceSystem):
     def renew(self, data: Data) -> bool:
         """Go on with other data; whether the matrix stays (collective)."""
         same = data.same_operator(self._data, self.spaces)
-        kept = same and data.inside is None and data.b is self._data.b
+        kept = same and not data.inside and data.b is self._data.b
         self._data, self.sources = data, self.sources.renewed(data) if kept else sources(self.spaces, data)
         if not kept:
             self._assemble_again()
@@ -200,7 +200,6 @@ class FacetSystem(TraceSystem):
     def in_cells(self, x: PETSc.Vec) -> tuple[Array, Array]:
         """The u_T less its reference, and −s_T, of each owned cell with laws in Ω (collective)."""
         data = self._data
-        assert data.inside is not None
         u, y = self.sources.values(self.on_cells(x))
         force = y - owned_values(data.f_h)
         if data.c_h is not None:

@@ -47,7 +47,7 @@ class FacetBackend(PlainBackend):
         self.comm: MPI.Comm = spaces.mesh.comm
         self.facets, self.cells = spaces.site_kinds
         self.sites = len(spaces.facets)
-        if data.inside is not None:
+        if data.inside:
             self.sites = len(spaces.site_kinds)
             self.noun = ("site", "sites") if spaces.part_names else ("cell", "cells")
 
@@ -99,7 +99,7 @@ class FacetBackend(PlainBackend):
         largest = np.array([values.max(initial=0.0) for values in terms])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         scales = np.minimum(largest[0], largest[1] / root), np.minimum(largest[2], largest[3] * root)
-        if self.data.inside is None:
+        if not self.data.inside:
             return scales
         of_u = np.minimum(largest[0], largest[1] / roots)
         return np.append(scales[0], of_u), np.append(scales[1], of_u / mean_moments(spaces, self.data))

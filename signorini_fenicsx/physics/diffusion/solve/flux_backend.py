@@ -36,13 +36,13 @@ class FluxBackend(TraceBackend):
         """Choose the solver, see `TraceBackend` (collective)."""
         super().__init__(system, spaces, fixed, near, choose)
         self._cells = spaces.site_kinds["cell"]
-        if data.inside is None:
+        if not data.inside:
             self.sites, self.measure = len(self._unknowns), self._shares
 
     @property
     def by_traces(self) -> bool:
         """Whether there are no laws in Ω."""
-        return self.data.inside is None
+        return not self.data.inside
 
     def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve, see `TraceBackend.solve`, or make a step of `tangent` (collective)."""

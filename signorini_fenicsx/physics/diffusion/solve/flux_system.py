@@ -33,7 +33,7 @@ class FluxSystem(HybridSystem):
     def __init__(self, spaces: LinearSpaces, data: LinearData):
         """Eliminate and assemble (collective)."""
         self.spaces, self._data, self._in_cells = spaces, data, None
-        if data.cells_at is not None:
+        if data.inside:
             none = SiteConditions.everywhere(Condition.NO_FLUX, len(data.cells_at.p_h))
             self._in_cells = InCells.of(data.cells_at, none)
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
@@ -51,7 +51,6 @@ class FluxSystem(HybridSystem):
 
     def impose_in_cells(self, conditions: SiteConditions) -> None:
         """Let the laws in Ω be under these conditions of the vertices of cells (collective)."""
-        assert self._data.cells_at is not None
         self._in_cells = InCells.of(self._data.cells_at, conditions)
         self.assemble_again()
         self._take_loads()
@@ -59,7 +58,7 @@ class FluxSystem(HybridSystem):
     def renew(self, data: LinearData) -> bool:
         """Go on with other data; False if these have another matrix (collective)."""
         same = data.kappa is self._data.kappa and data.c is self._data.c  # in the points of quadratures, too
-        if data.inside is not None or not same or not data.same_operator(self._data, self.spaces):
+        if data.inside or not same or not data.same_operator(self._data, self.spaces):
             return False
         self._data = data
         self.eliminate_again()

@@ -149,7 +149,7 @@ class HybridBackend(FacetBackend, FluxBackend):
         flux.x.array[spaces.neumann_dofs] = data.sigma_lift.x.array[spaces.neumann_dofs]
         flux.x.scatter_forward()
         spaces.carry_across(flux)
-        if data.inside is not None:
+        if data.inside:
             cells = self.cells.of(conditions)
             u = np.where(cells.kind == Condition.ZERO_TRACE, data.inside.as_linear(cells)[1], u)
         return Iterate(p, through, self._iterations, flux, function_of(spaces.Q, u, "u"))

@@ -59,7 +59,7 @@ class VertexBackend(PlainBackend):
         flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - laws.flux_h
         at_laws = laws.own(laws.chains.segments(conditions[: len(p)]), p, flux)
         means = p + data.lift[spaces.site_kinds.unknown]
-        if data.cells_at is not None:
+        if data.inside:
             above, force = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
             segment = data.cells_at.chains.segments(conditions[len(p) :])
             at_laws, flux = np.append(at_laws, data.cells_at.own(segment, above, force)), np.append(flux, force)
@@ -140,7 +140,7 @@ class LinearBackend(VertexBackend, FluxBackend):
     @property
     def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
         """The kinds of sites that have `VertexLaws`, with these."""
-        return super().with_laws + ([] if self.data.cells_at is None else [(self._cells, self.data.cells_at)])
+        return [*super().with_laws, (self._cells, self.data.cells_at)]
 
     @property
     def inexact(self) -> Inexact | None:

@@ -56,7 +56,7 @@ def linear_kkt(
     if penalty is not None:
         pair = penalty.shift(*pair, eps)
     squares = squares_off(data.laws_at.chains, pair, k_e / length, length * kind.measure, k_e, 1.0)
-    if data.cells_at is not None:
+    if data.inside:
         k_T, h = (np.repeat(each, spaces.dim + 1) for each in (k, spaces.cell_diameters))
         laws, unit, (above, force) = data.cells_at, k_T / (length * h), data.in_cells(spaces, sigma, u)
         known = cell.of(iterate.p), force
@@ -104,7 +104,7 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
         missing += of_sigma[:, free:]
         if reaction is not None:
             missing -= np.einsum("nvw,nw->nv", reaction, u[numbers])
-        if data.cells_at is not None:  # whatever is missing is −s
+        if data.inside:  # whatever is missing is −s
             missing[:] = 0.0
         of_hats = np.einsum("nv,nv->n", missing, np.linalg.solve(cells.hat_masses(), missing[:, :, None])[:, :, 0])
         squares[1] += (h[numbers] ** 2 / k[numbers] ** 2) @ of_hats, h[numbers] ** 2 @ of_hats

@@ -61,7 +61,7 @@ class LinearMixedBackend(VertexBackend):
         Raises:
             InputError: If PETSc refuses an option; for laws in Ω and steps in time.
         """
-        if data.inside is not None or data.memory is not None:
+        if data.inside or data.memory is not None:
             raise InputError("element: the mixed backend with RT1 takes no laws in Ω and no steps in time; take hybrid")
         self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds.unknown)
         traces, _ = spaces.on_boundary
@@ -289,7 +289,7 @@ class MixedBackend(FacetBackend):
         given_flux, given_trace = (conditions.kind == kind for kind in (Condition.NO_FLUX, Condition.ZERO_TRACE))
         inside, held, in_cells = self.data.inside, self.cells.of(given_trace), self.cells.of(conditions)
         on_facets, given = self.facets.of(conditions), self.facets.of(given_flux)
-        load = np.empty(0) if inside is None else inside.as_linear(in_cells)[1]
+        load = inside.as_linear(in_cells)[1]
         essential = np.append(spaces.flux_dofs[given], self._of_cells(held))
         values = (self.facets.of(flux) * spaces.facet_measure / spaces.basis_flux)[given]
         values = np.append(values, load[held])
@@ -304,7 +304,7 @@ class MixedBackend(FacetBackend):
         if loaded:
             b.array_w[:] += self._load
             b.array_w[self._flux_size :] -= self._stabilisation * self._cells * owned_values(self.before)
-            if inside is not None:
+            if inside:
                 b.array_w[self._flux_size :] -= self._cells * load
         b.array_w[self._given] = 0.0
         b.array_w[essential] = values
@@ -316,7 +316,7 @@ class MixedBackend(FacetBackend):
         p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
         sigma, u = self._fields(x)
         normal_flux = spaces.normal_flux(sigma)
-        if inside is not None:
+        if inside:
             p = np.append(p, owned_values(u) - inside.means)
             normal_flux = np.append(normal_flux, -residual.array_r[self._flux_size :] / self._cells)
         p, normal_flux = conditions.clean(p, normal_flux, self.data.conductance)

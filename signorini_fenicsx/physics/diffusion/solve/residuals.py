@@ -107,7 +107,7 @@ def kkt_residuals(
         trace, flux = penalty.shift(trace, flux, eps)
     weights, k_e = length * facet.measure, k[spaces.cells]
     squares = squares_off(data.laws.chains, (trace, flux), k_e / length, weights, k_e, 1.0)
-    if data.inside is not None:
+    if data.inside:
         *pair, unit = _pairs_of_cells(spaces, data, data.inside, in_cells, u)
         squares += squares_off(data.inside.chains, pair, unit, cell.measure * h**2, k, 1.0)
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
@@ -141,7 +141,7 @@ def with_cells(
     spaces: Spaces, data: Data, iterate: Iterate, segment: Indices, penalty: Penalty | None = None, eps: float = 1.0
 ) -> tuple[Iterate, SiteConditions]:
     """An iterate of facets, and their segments, with those of cells to which its fields are nearest (collective)."""
-    if data.inside is not None:
+    if data.inside:
         sigma, law = CellFlux.of(spaces, iterate.sigma), data.inside.chains
         above, force, unit = _pairs_of_cells(spaces, data, data.inside, sigma, iterate.u)
         segment = np.append(segment, np.argmin(law.off_segments((above, force), (above, force), unit), axis=1))
@@ -206,7 +206,7 @@ def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
 def _not_carried(spaces: Spaces, u: fem.Function, data: Data) -> Array:
     """The load of each owned cell less what laws in Ω take of it: what makes u vary."""
     source = owned_values(data.source(u))
-    if data.inside is None:
+    if not data.inside:
         return source
     unit = data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
     low, *off = data.inside.chains.distances(owned_values(u) - data.inside.means, -source, unit)
@@ -227,7 +227,7 @@ def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.F
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
     missing, taken = np.zeros(len(k)), k
-    if data.inside is None:
+    if not data.inside:
         missing = spaces.cell_diameters * (in_cells.divergence + owned_values(data.source(u)))
     if data.c_h is not None:  # with û fixed a lack r moves u_T by r m_T/(1 + c m_T), see `sources`: so much less
         taken = k * (1 + owned_values(data.c_h) * mean_moments(spaces, data))

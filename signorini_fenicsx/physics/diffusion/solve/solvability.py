@@ -58,7 +58,7 @@ def _sides(spaces: Spaces, data: Data, of_cell: Indices) -> tuple[Indices, Indic
             across[spaces.rows_of(joint)] = opposite_bodies(spaces, joint, of_cell)
     facet, cell = (math.prod(kind.shape) for kind in spaces.site_kinds)
     named, across = np.repeat(named, facet), np.repeat(across, facet)
-    if data.inside is not None:
+    if data.inside:
         of_cells = np.repeat(of_cell, cell)
         named, across = np.append(named, of_cells), np.append(across, np.zeros_like(of_cells))
     return named, across, spaces.site_kinds.measure[: len(named)]

@@ -78,7 +78,7 @@ class DiffusionTask(Task):
         are left.
         """
         facets, tuning = self.spaces.facets_of_mesh, self.tuning
-        if self.data.inside is not None:
+        if self.data.inside:
             return COARSENING_IN_CELLS if facets >= tuning.predict_in_cells_from else None
         fine = self.spaces.mesh.topology.dim == 2 and facets >= tuning.coarsen_from
         return tuning.coarsening if fine and self.is_large(backend) else None

@@ -126,7 +126,7 @@ def _of_cells(spaces: Spaces, data: Data) -> Array:
     weight = 1 / np.sqrt(spaces.cell_measures)
     right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
     c = np.zeros(cells) if data.c_h is None else owned_values(data.c_h)
-    if data.inside is not None:
+    if data.inside:
         law, rows = data.inside.chains, np.arange(cells)
         steep = law.slope > 0
         last = steep.shape[1] - 1 - np.argmax(steep[:, ::-1], axis=1)
@@ -144,7 +144,7 @@ def _laws_inside(data: Data, of_cells: Array) -> Array:
         Number of the cell over all ranks, root of its measure, β, value of the segment from u = 0, and its bounds,
         shape (unknowns, 6).
     """
-    if data.inside is None:
+    if not data.inside:
         return np.empty((0, 6))
     law, comm = data.inside.chains, data.f_h.function_space.mesh.comm
     at = np.nonzero(law.slope > 0)
