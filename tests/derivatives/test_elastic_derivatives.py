@@ -47,7 +47,10 @@ def block(comm: MPI.Comm, friction: str, plane: str = "strain") -> Controlled:
     x = ufl.SpatialCoordinate(domain.mesh)
     E, nu, gap, push, force, traction, bound = given = constants(domain, 1.5, 0.3, 0.02, 0.3, -0.1, 0.2, 0.12)
     stiffness = function(domain, lambda x: 1 + 0.3 * x[0])
-    laws: dict[str, Any] = {"tresca": Tresca(bound * (1 + x[0])), "coulomb": Coulomb(2 * bound * (1 + x[0]))}
+    laws: dict[str, Any] = {
+        "tresca": Tresca(bound * (1 + x[0])),
+        "coulomb": Coulomb(2 * bound * (1 + x[0]), 0.01 * bound),
+    }
     conditions = [
         Contact("bottom", gap=gap * (1 + 60 * (x[0] - 0.5) ** 2), friction=laws.get(friction)),
         Dirichlet("top", [push * x[0], -push * (1 + 0.2 * x[0])]),

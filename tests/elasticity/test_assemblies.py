@@ -221,7 +221,7 @@ WRONG = [
     (PAIR.replace("low.top", "up.bottom"), "up.bottom"),
     (PAIR.replace("low.top", "low.left"), "listed twice"),
     (PAIR.replace("contact", "glue"), "unknown kind of a pair 'glue'; use one of contact, friction, tied"),
-    (PAIR.replace("contact", "friction"), "must have either g"),
+    (PAIR.replace("contact", "friction"), "must have g"),
     (PAIR.replace("contact", "friction") + 'mu = "x - 5"', "pair.0.mu: must be finite and not negative"),
     (PAIR.replace("contact", "wall") + "beta = -1", "pair.0 (wall): beta must not be negative"),
     (PAIR + "within = 1e-3\ndirection = [0, 1]", "no facet of the slave is covered"),

@@ -83,7 +83,7 @@ def test_quadratic_programme_finds_the_same():
 
 @pytest.mark.parametrize("slips", [True, False])
 def test_coulomb_in_a_uniform_state(slips: bool):
-    """Under a uniform pressure σ_t is −μ times it where all slips, and less where all sticks; both are exact."""
+    """Under a uniform pressure σ_t is −μ times it, less adhesion, where all slips, and less if all sticks; exact."""
     nu, mu, pressure = 0.3, 0.3, 0.2
     shear = mu * pressure * (1.0 if slips else 0.5)
     sides = 0.0 if slips else -nu / (1 - nu) * pressure
@@ -91,7 +91,7 @@ def test_coulomb_in_a_uniform_state(slips: bool):
     flatter = -(1 - nu**2) * pressure - nu * (1 + nu) * sides
     u = [f"{0.1 if slips else 0.0} + {wider}*x + {2 * (1 + nu) * shear}*y", f"{flatter}*y"]
     g_N = {"x0": [str(-sides), str(-shear)], "x1": [str(sides), str(shear)]}
-    problem = ElasticProblem(1.0, nu, u_D=u, g_N=g_N, exact=u, laws=[CoulombLaw(["y0"], mu)])
+    problem = ElasticProblem(1.0, nu, u_D=u, g_N=g_N, exact=u, laws=[CoulombLaw(["y0"], mu / 2, mu / 2 * pressure)])
     solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=BOTTOM))
     errors = solution.errors()
     assert errors is not None
@@ -130,7 +130,7 @@ def test_coulomb_with_a_large_number(mu: float, push: float, nu: float):
 
 def test_the_path_and_newton_find_the_same(monkeypatch: pytest.MonkeyPatch):
     """For small μ, where there is one solution, the path leads to that of Newton's method."""
-    problem = ElasticProblem(1.0, 0.3, u_D=[0.3, -0.05], laws=[CoulombLaw(["y0"], "0.2 + 0.1*x")])
+    problem = ElasticProblem(1.0, 0.3, u_D=[0.3, -0.05], laws=[CoulombLaw(["y0"], "0.2 + 0.1*x", "0.002*x")])
     place = box(COMM, 4, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=ElasticBoundary(neumann=["x0", "x1"]))
     newton = solve(*place)
     monkeypatch.setattr(coulomb, "MOST", 2)
@@ -185,7 +185,7 @@ solve = {h = "1/4"}
 """
     if COMM.rank == 0:
         (folder / "slide.toml").write_text(text, encoding="utf-8")
-        (folder / "both.toml").write_text(text.replace("mu = 0.3", "mu = 0.3, g = 1"), encoding="utf-8")
+        (folder / "neither.toml").write_text(text.replace(", mu = 0.3", ""), encoding="utf-8")
         space = text.replace("square", "cube").replace("-0.05]", "-0.05, 0]")
         (folder / "space.toml").write_text(space, encoding="utf-8")
         (folder / "negative.toml").write_text(text.replace("0.3}", '"x - 0.5"}'), encoding="utf-8")
@@ -211,7 +211,7 @@ solve = {h = "1/4"}
         assert row["friction"] != "slip-" or float(row["shear"]) == pytest.approx(-bound, rel=1e-7)
         assert row["friction"] != "stick" or abs(float(row["shear"])) < bound
     expected = {
-        "both": "the law 'friction' must have either g, the bound of the shear, or mu",
+        "neither": "the law 'friction' must have g, a bound of the shear, or mu",
         "negative": "law.0.mu: must be finite and not negative",
     }
     for name, message in expected.items():
@@ -228,14 +228,14 @@ def test_a_body_that_friction_alone_holds():
         problem = ElasticProblem(1.0, 0.3, f=[str(push), "-0.1"], laws=[law])
         return solve(domain, replace(problem, boundary=boundary))
 
-    for push, law in ((0.019, Friction(["y0"], g=0.02)), (0.02, CoulombLaw(["y0"], mu=0.3))):
+    for push, law in ((0.019, Friction(["y0"], g=0.02)), (0.034, CoulombLaw(["y0"], 0.3, 0.005))):
         solution = solved(push, law)
         assert solution.resultants()["y0"][:2] == pytest.approx([-push, 0.1])
     with pytest.raises(InputError, match=r"the body can move rigidly, along \(1, "):
         solved(0.021, Friction(["y0"], g=0.02))
-    for push in (0.0301, 0.04):
+    for push, adhesion in ((0.0301, 0.0), (0.0351, 0.005), (0.04, 0.005)):
         with pytest.raises(InputError, match=r"the body slides away, along \(1, .* no pressure with friction"):
-            solved(push, CoulombLaw(["y0"], mu=0.3))
+            solved(push, CoulombLaw(["y0"], 0.3, adhesion))
 
 
 @pytest.mark.parametrize("gap", [2.0, 1e9])

@@ -14,12 +14,13 @@ from petsc4py import PETSc
 from signorini_fenicsx.api import load_solution
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Regulator
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
-from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, CoulombLaw, ElasticLaw
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, CoulombLaw
 from signorini_fenicsx.physics.elasticity.discrete import friction
 from signorini_fenicsx.physics.elasticity.discrete.friction import Slipping
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, Elasticity, ElasticProblem, InputError
@@ -38,16 +39,20 @@ COMM = MPI.COMM_WORLD
 SIDES = ["x0", "x1", "y0", "y1"]
 
 
-def oblique(comm: MPI.Comm, law: ElasticLaw, shear: float, slip: float) -> ElasticSolution:
+def oblique(comm: MPI.Comm, law: Law, shear: float, slip: float) -> ElasticSolution:
     """A block under a pressure of 0.1 and a uniform shear along an oblique direction, ν = 0; it slips so far."""
     way = np.array([np.cos(0.7), np.sin(0.7)])
     u = [*(f"{w}*({slip} + {2 * shear}*z)" for w in way), "-0.1*z"]
     return solve(box(comm, 2, [0.0] * 3, [1.0] * 3), ElasticProblem(1.0, 0.0, u_D=u, exact=u, laws=[law]))
 
 
-@pytest.mark.parametrize("law", [Friction(["z0"], g=0.03), CoulombLaw(["z0"], 0.3)], ids=["tresca", "coulomb"])
+@pytest.mark.parametrize(
+    "law",
+    [Friction(["z0"], g=0.03), CoulombLaw(["z0"], 0.3), CoulombLaw(["z0"], 0.2, 0.01)],
+    ids=["tresca", "coulomb", "adhesive"],
+)
 @pytest.mark.parallel([1, 3])
-def test_oblique_slip_is_exact(law: ElasticLaw):
+def test_oblique_slip_is_exact(law: Law):
     """In a uniform state of slip along an oblique direction the solution is exact, and the bound is rounding."""
     solution = oblique(COMM, law, 0.03, 0.1)
     errors = solution.errors()
@@ -78,7 +83,7 @@ def test_oblique_stick_is_exact():
     assert solution.friction_states()["stick"]["measure"] == pytest.approx(1.0)
 
 
-def twisted(law: ElasticLaw, options: Options | None = None) -> ElasticSolution:
+def twisted(law: Law, options: Options | None = None) -> ElasticSolution:
     """A block that is pressed, tilted, pushed and twisted on a plane."""
     u = ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"]
     problem = ElasticProblem(1.0, 0.3, u_D={"z1": u}, gap="0.01*x", laws=[law])
@@ -157,7 +162,7 @@ def test_few_linear_iterations(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize("law", [Friction(["z0"], g=0.01), CoulombLaw(["z0"], 0.3)], ids=["tresca", "coulomb"])
-def test_few_steps(law: ElasticLaw):
+def test_few_steps(law: Law):
     """A bar that slips at its edges, from the sets of a coarser mesh: ten steps or less, by factors and by CG.
 
     One method inside the other, for contact, slip and the bound, took 34 steps under Coulomb's law.

@@ -158,7 +158,7 @@ def test_case_file(folder: Path):
     assert "bottom (-0.02, 0.066667)" in ended.stdout
     for change, words in (
         ("law.0.shear=0", "the stiffness along a joint must be positive"),
-        ("law.0.g=1", "must have either g, the bound of the shear, or mu"),
+        ("law.0.g=-1", "g: must be finite and not negative"),
         ('law.0.kind="joint"', "joint_springs"),
     ):
         for command in ("check", "solve"):

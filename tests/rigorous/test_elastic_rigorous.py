@@ -18,13 +18,14 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.proof import proof_of
+from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
 from signorini_fenicsx.expressions import Binary, Tree, exactly, read, values
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import enclosing
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, stretch
-from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, ElasticLaw
+from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     hats_in_subcells,
@@ -78,7 +79,7 @@ def punched(comm: MPI.Comm, n: int, dim: int = 2, **changes: object) -> ElasticS
     return solve(box(comm, n, [0.0] * dim, [1.0] * dim), replace(problem, boundary=boundary))
 
 
-def rubbed(law: ElasticLaw, dim: int, n: int) -> ElasticSolution:
+def rubbed(law: Law, dim: int, n: int) -> ElasticSolution:
     """A block that is pressed onto a curved foundation and pushed along it."""
     bottom, sides = f"{'xyz'[dim - 1]}0", ["x0", "x1", *(["y0", "y1"] if dim == 3 else [])]
     u_D = ["0.05", *["0.02"] * (dim - 2), "-0.1"]

@@ -114,8 +114,8 @@ class FrictionTexts(DataSection):
 
     @model_validator(mode="after")
     def _one_bound(self) -> Self:
-        if (self.g is None) == (self.mu is None):
-            raise ValueError("the law 'friction' must have either g, the bound of the shear, or mu, its coefficient")
+        if self.g is None and self.mu is None:
+            raise ValueError("the law 'friction' must have g, a bound of the shear, or mu, its coefficient, or both")
         return self
 
 
@@ -147,7 +147,7 @@ IN_WORDS = {
 
 
 class ContactTexts(KindSection):
-    """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, or by μ, Coulomb's number.
+    """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, by μ, Coulomb's number, or both.
 
     The foundation may be a `surface` in a mesh file. With `force` and `moment` it is a rigid tool that moves along and
     about these axes. Other kinds are laws between the opening gap − u_n and the pressure, with their keys in scalar
@@ -178,8 +178,8 @@ class ContactTexts(KindSection):
 
 def _friction_or_none(data: dict[str, Any]) -> Tresca | Coulomb | None:
     """The friction of some data, whose bound is taken out of them."""
-    bounds = [friction(data.pop(key)) for key, friction in (("g", Tresca), ("mu", Coulomb)) if key in data]
-    return next(iter(bounds), None)
+    bounds = {key: data.pop(key) for key in ("g", "mu") if key in data}
+    return (Coulomb if "mu" in bounds else Tresca)(**bounds) if bounds else None
 
 
 class ElasticPair(PairTexts):

@@ -1,14 +1,14 @@
 """Conditions on elastic bodies where they meet something: contact, friction, pairs of surfaces."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import NoneType
-from typing import Any, ClassVar, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 
-from signorini_fenicsx.base.errors import InputError, check_kind, check_names
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Wall
 from signorini_fenicsx.discrete.pairs import Pair, Tied
@@ -16,25 +16,19 @@ from signorini_fenicsx.expressions.given import Given
 
 
 @dataclass(frozen=True)
-class CoulombLaw:
-    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
+class CoulombLaw(Law):
+    """Friction by Coulomb's law, |σ_t| ≤ g − μ σ_nn.
 
     Attributes:
         parts: Names of parts of Γ_C.
         mu: μ ≥ 0.
+        g: What holds without pressure, g ≥ 0.
     """
 
-    parts: Sequence[str]
     mu: Given
-    name: ClassVar[str] = "coulomb"
-
-    def __post_init__(self) -> None:
-        """Refuse a string in the place of a list."""
-        check_names("parts", self.parts)
-
-    def with_data(self, change: Callable[[str, Any], Any]) -> "CoulombLaw":
-        """The law with μ changed by a function of its name and value, see `Law.with_data`."""
-        return replace(self, mu=change(f"{self.name}.mu", self.mu))
+    g: Given = 0.0
+    places = ("parts",)
+    word = "coulomb"
 
 
 @dataclass(frozen=True)
@@ -53,11 +47,6 @@ class Closed(Law):
         return Graph((0.0, 0.0), [(0.0, 0.0)], np.inf, np.inf)
 
 
-type ElasticLaw = Law | CoulombLaw
-"""Friction with a given bound of the shear (Tresca) or with one by the pressure; or a law between opening and
-pressure."""
-
-
 @dataclass(frozen=True)
 class Tresca:
     """Friction by Tresca's law, |σ_t| ≤ g.
@@ -68,24 +57,26 @@ class Tresca:
 
     g: Given
 
-    def law(self, parts: Sequence[str]) -> ElasticLaw:
+    def law(self, parts: Sequence[str]) -> Law:
         """The law on some parts."""
         return Friction(parts, self.g)
 
 
 @dataclass(frozen=True)
 class Coulomb:
-    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
+    """Friction by Coulomb's law, |σ_t| ≤ g − μ σ_nn.
 
     Attributes:
         mu: μ ≥ 0.
+        g: What adhesion holds without pressure, g ≥ 0.
     """
 
     mu: Given
+    g: Given = 0.0
 
-    def law(self, parts: Sequence[str]) -> ElasticLaw:
+    def law(self, parts: Sequence[str]) -> Law:
         """The law on some parts."""
-        return CoulombLaw(parts, self.mu)
+        return CoulombLaw(parts, self.mu, self.g)
 
 
 @dataclass(frozen=True)
@@ -114,7 +105,7 @@ class JointSprings(OnParts):
         check_kind("friction", self.friction, Tresca, Coulomb)
 
     @property
-    def laws(self) -> list[ElasticLaw]:
+    def laws(self) -> list[Law]:
         """The law across the joint, and that along it but for the springs."""
         return [Wall(self.parts, self.normal), self.friction.law(self.parts)]
 
@@ -176,4 +167,4 @@ def on_slave(pair: Pair) -> Contact | Law | None:
 
 def is_normal(law: object) -> TypeGuard[Law]:
     """Whether a law is one between opening and pressure."""
-    return isinstance(law, Law) and not isinstance(law, Friction | Dirichlet | Neumann)
+    return isinstance(law, Law) and not isinstance(law, Friction | CoulombLaw | Dirichlet | Neumann)

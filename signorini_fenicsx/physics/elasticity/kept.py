@@ -117,7 +117,7 @@ def read(
 KEEPING = Keeping(
     boundary=ElasticBoundary,
     problem=ElasticProblem,
-    laws={**LAWS, CoulombLaw.name: CoulombLaw},
+    laws={**LAWS, CoulombLaw.word: CoulombLaw},
     layout=LAYOUT,
     codes={"facet_condition": len(Condition), "facet_state": len(Friction.segments)},
     in_cells=lambda solution: {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)},

@@ -26,7 +26,6 @@ from signorini_fenicsx.physics.elasticity.conditions import (
     Closed,
     Contact,
     CoulombLaw,
-    ElasticLaw,
     JointSprings,
     is_normal,
     on_slave,
@@ -227,7 +226,7 @@ def of_meeting(meeting: Sequence[Meeting]) -> dict[str, Any]:
     }
 
 
-def _laws_of(condition: Meeting) -> list[ElasticLaw]:
+def _laws_of(condition: Meeting) -> list[Law]:
     """The laws of a condition; none for contact without friction."""
     if isinstance(condition, JointSprings):
         return condition.laws
@@ -323,7 +322,7 @@ class ElasticProblem(Body):
     support: GivenSupports = field(default_factory=dict)
     gap: Given | Mapping[str, Given] = 0.0
     surface: Mapping[str, str | Path] = field(default_factory=dict)
-    laws: Sequence[ElasticLaw] = ()
+    laws: Sequence[Law] = ()
     numbers: Sequence[int] = ()
     force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
@@ -335,9 +334,9 @@ class ElasticProblem(Body):
         """Refuse what is neither strain nor stress, other laws, and parts with two; add the parts of laws to Γ_C."""
         if self.plane not in list(Plane):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
-        if not isinstance(self.laws, Sequence) or not all(isinstance(law, CoulombLaw | Law) for law in self.laws):
+        if not isinstance(self.laws, Sequence) or not all(isinstance(law, Law) for law in self.laws):
             raise InputError('laws: must be a list of laws, such as [CoulombLaw("bottom", 0.3)]')
-        if any(isinstance(law, Law) and law.region for law in self.laws):
+        if any(law.region for law in self.laws):
             raise InputError("laws: those of an elastic body hold on parts, not in regions")
         parts = [(part, is_normal(law)) for law in self.laws for part in law.parts]
         if twice := [part for (part, _), times in Counter(parts).items() if times > 1]:
@@ -389,7 +388,7 @@ class ElasticProblem(Body):
         return replace(with_data(self, change, but=("plane", "laws", "numbers", "surface", "boundary")), laws=laws)
 
     @property
-    def named_laws(self) -> list[tuple[str, ElasticLaw]]:
+    def named_laws(self) -> list[tuple[str, Law]]:
         """All laws with their names in messages."""
         return named_laws(self.laws, self.boundary.pairs, self.numbers)
 

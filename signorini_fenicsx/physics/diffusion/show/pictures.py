@@ -112,7 +112,7 @@ def _on_gamma(scene: Scene, water: Pools | None) -> list[Panel]:
 def segments(scene: Scene) -> list[Panel]:
     """The cells of each law in Ω by its segments."""
     laws, found = getattr(scene.solution.data, "inside", None), []
-    for part in laws.of_regions:
+    for part in laws.of_regions if laws else ():
         of_cells, where = scene.fields.in_cells[SEGMENTS + part.name], " and ".join(part.law.region)
         colours = {"no law": "0.92", **style.colours_of(part.titles())}
         names = ["no law", *part.titles()]

@@ -112,7 +112,7 @@ class LinearisedElasticity(HybridLinearised):
         """
         spaces, system = self._spaces, self._backend.system
         numbers = {kind: np.zeros(len(system.load)) for kind in ("lift", "load")}
-        numbers["mu"] = np.zeros(spaces.dim * len(spaces.rough_rows))
+        numbers |= {kind: np.zeros(spaces.dim * len(spaces.rough_rows)) for kind in ("mu", "g")}
         stresses, u, _ = self._responded(numbers, changes)
         return {"sigma": spaces.split.stress(stresses), "u": spaces.displacement(u), "p": None}
 
@@ -135,7 +135,8 @@ class LinearisedElasticity(HybridLinearised):
             sides = friction.directions(slip.of(segment))
             slope = friction.slope(np.where(self.biactive[slip.pressing], 1.0, self._pressure))
             moved = slope * spaces.pressure_of(backend.flux(x, numbers["load"]))
-            left = numbers["mu"].reshape(slope.shape) * self._pressure + moved
+            added_to_bound = numbers["mu"] * self._pressure.ravel() + numbers["g"]
+            left = added_to_bound.reshape(slope.shape) + moved
             added = np.repeat(newton(backend, actual, (sides, slope), left).ravel(), spaces.dim - 1)
             load[:] = 0.0
             load[slip.unknown] = sides * slip.measure * added
@@ -163,7 +164,8 @@ class LinearisedElasticity(HybridLinearised):
 
         "slipped" is the derivative by û_t of the step before.
         """
-        spaces, backend, w, (normal, slip) = self._spaces, self._backend, np.zeros(0), self._spaces.site_kinds
+        spaces, backend, (normal, slip) = self._spaces, self._backend, self._spaces.site_kinds
+        w = np.zeros(self._pressure.size)
         friction, of_slip = backend.friction, np.zeros(len(slip)) if besides is None else besides
         by_sigma, by_u = (derivative_by(each, J, ()) for each in (self._solution.sigma, self._solution.u))
         stresses, moments = spaces.split.values(by_sigma), -spaces.displacement_values(by_u)
@@ -194,7 +196,8 @@ class LinearisedElasticity(HybridLinearised):
         return self._by_points(adjoint, of_u) | {
             "lift": lift,
             "load": -x[: len(lift)],
-            "mu": w * self._pressure.ravel() if len(w) else np.zeros(self._pressure.size),
+            "mu": w * self._pressure.ravel(),
+            "g": w,
             "line": np.append(on_normal, -slip.measure * x[slip.unknown]),
             "slipped": np.where(slip.of(self._held), of_stick, slipping),
         }

@@ -1,6 +1,7 @@
 """What an elastic problem sees of data on the boundary: their moments ∫ d φ_a, and what it makes of these."""
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -60,7 +61,7 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
 
 
 def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Array) -> Iterator[tuple[str, Effect]]:
-    """What the moments of bounds of friction make, the given shear ("line"), and those of μ, its values ("mu").
+    """What the moments of data of friction make: a given shear ("line"), values of μ ("mu") and what is added ("g").
 
     Collective.
 
@@ -76,17 +77,13 @@ def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Arra
     order, sites = np.argsort(rough), slip.first + np.arange(len(slip)).reshape(len(rough), dim * (dim - 1))
     shear = np.eye(dim)[:, None] * directions.reshape(len(rough), dim, dim - 1, 1)
     for of_law, law in problem.named_laws:
-        if is_normal(law):
-            continue
-        name = "mu" if isinstance(law, CoulombLaw) else "g"
-        key = f"{of_law}.{name}"
-        datum = datum_of(spaces, key, parsed(getattr(law, name), "xyz"[:dim], key))
-        _check_linear(key, datum)
-        for part in law.parts:
-            facets = spaces.part(part)
+        for (name, given), part in product({} if is_normal(law) else law.data().items(), law.parts):
+            key, facets = f"{of_law}.{name}", spaces.part(part)
+            datum = datum_of(spaces, key, parsed(given, "xyz"[:dim], key))
+            _check_linear(key, datum)
             rows = order[np.searchsorted(rough, facets.facets, sorter=order)]
-            kind, places, matrices = "mu", dim * rows[:, None] + np.arange(dim), _to_values(facets)
-            if name == "g":
+            kind, places, matrices = name, dim * rows[:, None] + np.arange(dim), _to_values(facets)
+            if not isinstance(law, CoulombLaw):
                 kind, places = "line", sites[rows]
                 matrices = shear[rows].reshape(len(rows), dim * (dim - 1), dim) @ matrices
             yield from _of_datum(spaces, f"{key}.{part}", kind, datum, facets, places, matrices)

@@ -2,8 +2,9 @@
 
 |σ_t| ≤ g, and u_t = 0 where it is less; σ_t = −g where u_t > 0, σ_t = g where u_t < 0 (Tresca). Both are linear on a
 facet if û_t has the basis that û_n has. So a facet vertex is a site with three states, and with bounds g_i at the
-vertices such that Σ g_i φ_i ≤ g the shear is admissible on the whole facet. In Coulomb's law g is μ times the pressure,
-which is not known before; see `coulomb`. In space σ_t = −g u_t/|u_t| where u_t ≠ 0, and `slipping` makes it linear.
+vertices such that Σ g_i φ_i ≤ g the shear is admissible on the whole facet. In Coulomb's law μ times the pressure is
+added, which is not known before; see `coulomb`. In space σ_t = −g u_t/|u_t| where u_t ≠ 0, which `slipping` makes
+linear.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.lattices import lattice
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, ElasticLaw, is_normal
+from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool
 from signorini_fenicsx.physics.elasticity.problem import GivenVector
@@ -71,10 +73,11 @@ class FrictionBounds:
 
     Attributes:
         bound: g_i at their vertices, shape (facets, d).
+        given: What of g_i does not follow the pressure.
         mu: μ there; 0 where g is given.
-        coulomb: Whether g is μ times the pressure, per facet.
+        coulomb: Whether g follows the pressure, per facet.
         texts: The given g that are not linear on facets, each with its name and the rows where it holds.
-        by_pressure: Whether g is μ times the pressure somewhere, on any rank.
+        by_pressure: Whether g follows the pressure somewhere, on any rank.
         somewhere: Whether there is friction, on any rank.
         slipping: The linear law, in space; in the plane nothing slips by it.
         springs: Stiffness of springs along joints at the vertices, ∞ without, shape (facets, d).
@@ -82,6 +85,7 @@ class FrictionBounds:
     """
 
     bound: Array
+    given: Array
     mu: Array
     coulomb: Mask
     texts: tuple[tuple[str, Datum, Indices], ...]
@@ -201,7 +205,7 @@ class FrictionBounds:
 
     def following(self, pressure: Array) -> FrictionBounds:
         """The bounds by Coulomb's law under this pressure at the vertices, shape (facets, d)."""
-        return self.with_bounds(self.mu * np.maximum(pressure, 0.0))
+        return self.with_bounds(self.given + self.mu * np.maximum(pressure, 0.0))
 
     def slope(self, pressure: Array) -> Array:
         """The derivatives of the bounds by the pressure, shape (facets, d): μ where they depend on it, else 0."""
@@ -285,7 +289,7 @@ def law_of_sites(normal: Chains, friction: FrictionBounds) -> Chains:
 
 
 def friction_bounds(
-    spaces: ElasticSpaces, laws: Sequence[tuple[str, ElasticLaw]], joint: Mapping[str, Given]
+    spaces: ElasticSpaces, laws: Sequence[tuple[str, Law]], joint: Mapping[str, Given]
 ) -> FrictionBounds:
     """Read the laws of friction, each with its name in messages (collective).
 
@@ -296,22 +300,20 @@ def friction_bounds(
     rough, dim = spaces.rough, spaces.dim
     number = len(rough.facets)
     coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
-    none = np.zeros((number, dim))
-    nowhere = Slipping.nowhere(number, dim)
-    bounds = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), nowhere)
+    bound, given, mu = np.zeros((3, number, dim))
+    nowhere, by_pressure = Slipping.nowhere(number, dim), np.zeros(number, dtype=bool)
+    bounds = FrictionBounds(bound, given, mu, by_pressure, (), coulomb, bool(rubbing), nowhere)
     texts = []
     for of_law, law in rubbing:
-        key = "mu" if isinstance(law, CoulombLaw) else "g"
-        name, given = f"{of_law}.{key}", getattr(law, key)
         for part in law.parts:
             rows = np.flatnonzero(np.isin(rough.facets, spaces.domain.facets[part]))  # a pair leaves some facets out
-            facets = rough.take(rows)
-            values, datum = _lower_values(spaces, name, given, facets)
+            given[rows], datum = _lower_values(spaces, f"{of_law}.g", law.data()["g"], rough.take(rows))
+            bound[rows] = given[rows]
             if isinstance(law, CoulombLaw):
-                bounds.mu[rows], bounds.bound[rows], bounds.coulomb[rows] = values, STICKS, True
-            else:
-                bounds.bound[rows] = values
-                texts += [] if is_linear(datum) else [(name, datum, rows)]
+                mu[rows], _ = _lower_values(spaces, f"{of_law}.mu", law.mu, rough.take(rows))
+                bound[rows], by_pressure[rows] = STICKS, True
+            elif not is_linear(datum):
+                texts.append((f"{of_law}.g", datum, rows))
     return replace(bounds, texts=tuple(texts), springs=_springs(spaces, joint), longest=LONGEST * spaces.length)
 
 

@@ -1,19 +1,19 @@
 """Coulomb's friction as an equation for the bound of the shear, solved by Newton's method.
 
-Let T(g) be μ times the pressure of Tresca's problem with the bound g. Coulomb's law is g = T(g). The sequence g, T(g),
-T(T(g)), … tends to a solution if μ is small, with a rate that grows with μ, and to none if μ is large. Newton's method
-needs few steps in both cases: under the sets of the last problem its solution is linear in g, so the product of T' and
-a vector is one linear solve with these sets, and GMRES finds (I − T')⁻¹ of what is left of the equation. A step that
-leaves more than there was is halved. The first g is T(∞), where nothing slips.
+Let T(g) be μ times the pressure of Tresca's problem with the bound g, plus what adhesion holds. Coulomb's law is
+g = T(g). The sequence g, T(g), T(T(g)), … tends to a solution if μ is small, with a rate that grows with μ, and to none
+if μ is large. Newton's method needs few steps in both cases: under the sets of the last problem its solution is linear
+in g, so the product of T' and a vector is one linear solve with these sets, and GMRES finds (I − T')⁻¹ of what is left
+of the equation. A step that leaves more than there was is halved. The first g is T(∞), where nothing slips.
 
 For large μ there may be several solutions, and no theorem known to us tells where there is one only.
 
 *Coulomb's friction for any μ*: a path of solutions from no friction to all of it.
 
-Let the bound of the shear be k = max(μ λ − z d, 0) with the pressure λ, a number z ≥ 0 and given d > 0. For large z
-there is no friction, and one solution. In all z the solutions stay bounded, as those of Tresca's problem do. So the
-path of solutions that begins there comes to z = 0, where the law is Coulomb's, perhaps after z has grown for a while:
-it cannot end before, and not come back to a large z, where there is one solution only.
+Let the bound of the shear be k = max(μ λ + g − z d, 0) with the pressure λ, the g of adhesion, a number z ≥ 0 and given
+d > 0. For large z there is no friction, and one solution. In all z the solutions stay bounded, as those of Tresca's
+problem do. So the path of solutions that begins there comes to z = 0, where the law is Coulomb's, perhaps after z has
+grown for a while: it cannot end before, and not come back to a large z, where there is one solution only.
 
 The discrete path is piecewise linear: under given states of all sites the solution is linear in z. It is followed on
 the sites alone, with the dense matrix of what moving one site does to the forces on all. At the end of each piece one
@@ -78,7 +78,7 @@ class Sites:
         share: d of each site.
         normal: For a tangential site the normal one of the same vertex; −1 for normal sites.
         mu: μ at tangential sites of Coulomb's law, 0 elsewhere.
-        given: The bound of the shear at other tangential sites, 0 elsewhere.
+        given: What of the bound of the shear does not follow the pressure; 0 at normal sites.
     """
 
     stiffness: Array
@@ -100,7 +100,7 @@ class Sites:
         """
         state, coulomb = state.copy(), self.mu > 0
         shift = np.where(coulomb, self.share, 0.0)
-        z = 2 * float((self.mu * pressure[self.normal]).max(initial=0.0))
+        z = 2 * float(np.where(coulomb, self.mu * pressure[self.normal] + self.given, 0.0).max(initial=0.0))
         sign, last = -1.0, None
         for _ in range(MOST_CHANGES * len(state)):
             try:
@@ -249,7 +249,7 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
         The outcome of the problem at the end of the path, or of that at its begin.
     """
     friction, comm, spaces = backend.friction, backend.comm, backend.spaces
-    backend.friction = friction.moved(-friction.bound)
+    backend.friction = friction.with_bounds(np.zeros_like(friction.bound))
     outcome = tresca(None)
     goes = not (backend.iterates or backend.data.laws.of_parts or spaces.dim == 3 or backend.tools)
     if not outcome.converged or not goes or comm.allreduce(backend.sites) > MOST_SITES:
@@ -268,8 +268,8 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
         *_reactions(backend),
         _shares(backend),
         np.concatenate([np.full(len(normal), -1), first + slip.pressing.ravel()]),
-        np.concatenate([zeros, np.where(coulomb, friction.mu.ravel(), 0.0)]),
-        np.concatenate([zeros, np.where(coulomb, 0.0, friction.bound.ravel())]),
+        np.append(zeros, friction.mu),
+        np.append(zeros, friction.given),
         state,
         outcome.iterate.flux,
     )

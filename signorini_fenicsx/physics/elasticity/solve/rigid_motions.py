@@ -112,13 +112,13 @@ def _motions_of_contact(
     work = work @ free / most
     moves = normal_and_tangential(spaces, lambda directions: bodies.relative(directions) @ free)
     means = means_at_sites(*moves)
-    limits = _limits(spaces, data, work, means, most)
+    limits = _limits(spaces, data, work, means, most, data.friction.given if any_pressure else data.friction.bound)
     motion = limits.sliding() if any_pressure else limits.unprevented()
     if motion is None:
         return means, None
     motion = motion if any_pressure else limits.plainer(motion, bodies.plain(free))
     at_vertices = np.concatenate([each.reshape(-1, free.shape[1]) for each in moves])
-    on_mesh = _limits(spaces, data, work, at_vertices, most).unprevented() is None
+    on_mesh = _limits(spaces, data, work, at_vertices, most, data.friction.bound).unprevented() is None
     words, unit = bodies.in_words(free @ motion)
     loads = float(work @ motion)
     holds = loads - float(limits.work @ motion) + limits.rubbed(motion)
@@ -126,8 +126,8 @@ def _motions_of_contact(
     return means, Unprevented(words, loads * most / unit, holds * most / unit, on_mesh, balanced)
 
 
-def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array, most: float) -> Limits:
-    """The limits of motions that have these values at the sites, shape (sites, motions) (collective).
+def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array, most: float, bound: Array) -> Limits:
+    """The limits of motions that have these values at the sites, shape (sites, motions), under bounds (collective).
 
     A law whose pressure is between two numbers is overcome by more; it does not keep a motion from going on. What it
     takes is ∫ λ r_n with the largest pressure λ where the motion closes and with the least one where it opens: as
@@ -135,7 +135,7 @@ def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array,
     """
     normal, slip = spaces.site_kinds
     into, slips = normal.of(moves), slip.of(moves).reshape(-1, spaces.dim - 1, moves.shape[1])
-    shears = ((spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most).ravel()
+    shears = ((spaces.rough.measure / spaces.dim)[:, None] * bound / most).ravel()
     low, high = (end + data.laws.flux_h for end in data.laws.chains.extent()[2:])
     shuts, opens = np.isfinite(high), np.isfinite(low)
     constant = np.where(shuts & opens, np.where(shuts, high, 0.0) + np.where(opens, low, 0.0), 0.0) / 2

@@ -144,7 +144,7 @@ def _following(
     along = -np.einsum("nak,nak->na", direction, shear) / np.maximum(np.maximum(friction.bound, pulled), TINY)
     size = np.where(slips, (pull - friction.bound) / stiffness, 1.0)
     follows = np.where(slips & friction.coulomb[:, None], share, 0.0)
-    slope, part = follows * friction.mu, follows * (pressed or friction).bound
+    slope, part = follows * friction.mu, follows * ((pressed or friction).bound - friction.given)
     return replace(friction, slipping=Slipping(direction, size, np.maximum(along, 0.0), slope, part))
 
 
