@@ -10,7 +10,7 @@ import numpy as np
 
 from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
-from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Wall
+from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Friction, Neumann, Wall
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import Given
 
@@ -29,6 +29,10 @@ class CoulombLaw(Law):
     g: Given = 0.0
     places = ("parts",)
     word = "coulomb"
+
+
+LAWS_OF_BODIES: Mapping[str, type[Law]] = {**LAWS, CoulombLaw.word: CoulombLaw}
+"""The laws of bodies by their names."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Condition
-from signorini_fenicsx.contact.laws import LAWS, Friction
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
-from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
+from signorini_fenicsx.physics.elasticity.conditions import LAWS_OF_BODIES
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, Slipping, law_of_sites
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -117,7 +117,7 @@ def read(
 KEEPING = Keeping(
     boundary=ElasticBoundary,
     problem=ElasticProblem,
-    laws={**LAWS, CoulombLaw.word: CoulombLaw},
+    laws=LAWS_OF_BODIES,
     layout=LAYOUT,
     codes={"facet_condition": len(Condition), "facet_state": len(Friction.segments)},
     in_cells=lambda solution: {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)},
