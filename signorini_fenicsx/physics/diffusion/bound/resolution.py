@@ -196,7 +196,7 @@ class Resolution:
         kept, comm = self.spaces.kept_results, self.spaces.mesh.comm
         return kept.get(comm, "enclosed", tree, arrays, lambda: self._newly_enclosed(tree, vertices, seen, weight))
 
-    def _newly_enclosed(self, tree: Tree, vertices: Array, seen: Seen, weight: Array) -> tuple[Array, Array]:
+    def _newly_enclosed(self, tree: Tree, vertices: Array, seen: Rest, weight: Array) -> tuple[Array, Array]:
         limit = 1 / np.sqrt(self.spaces.frame.simplices * weight)
         rho = 2 * distances(tree, vertices, self.spaces.frame, limit / 4)
         norm, mean = seen.norm + rho, np.stack([seen.mean - rho, seen.mean + rho])
