@@ -344,6 +344,7 @@ class ElasticProblem(Body):
         check_kind("boundary", self.boundary, ElasticBoundary)
         contact = list(dict.fromkeys([*self.boundary.contact, *(part for part, _ in parts)]))
         object.__setattr__(self, "boundary", replace(self.boundary, contact=contact))
+        object.__setattr__(self, "numbers", tuple(self.numbers))  # as they are read from files
 
     def check_fixed(self) -> None:
         """Refuse parts of Γ_C on which what is fixed leaves nothing to a law, or leaves it in other directions.
