@@ -5,7 +5,7 @@ from typing import Any
 from signorini_fenicsx.solving.physics import DIFFUSION, OUTPUT, PHYSICS, Physics
 
 
-class Diffusion(Physics):
+class DiffusionPhysics(Physics):
     """A scalar u, its flux and Signorini's conditions."""
 
     def late(self, what: str) -> Any:
@@ -33,7 +33,7 @@ class Diffusion(Physics):
         return found
 
 
-class Elasticity(Physics):
+class ElasticityPhysics(Physics):
     """A body, its stress and contact with friction."""
 
     def late(self, what: str) -> Any:
@@ -59,7 +59,7 @@ class Elasticity(Physics):
         return found
 
 
-class Stokes(Physics):
+class StokesPhysics(Physics):
     """A viscous flow, its pressure and laws on its boundary."""
 
     def late(self, what: str) -> Any:
@@ -101,5 +101,5 @@ def _html(*given: Any) -> Any:
     return html(*given)
 
 
-PHYSICS.update({DIFFUSION: Diffusion(), "elasticity": Elasticity(), "stokes": Stokes()})
+PHYSICS.update({DIFFUSION: DiffusionPhysics(), "elasticity": ElasticityPhysics(), "stokes": StokesPhysics()})
 OUTPUT.update(write=_write, plot=_plot, html=_html)

@@ -30,7 +30,7 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     hats_in_subcells,
     reference,
 )
-from signorini_fenicsx.rigorous.discrete import Cells as EnclosedCells
+from signorini_fenicsx.rigorous.discrete import MeshCells as EnclosedCells
 from signorini_fenicsx.rigorous.elasticity.loads import MOMENTS, PROVED
 from signorini_fenicsx.rigorous.elasticity.stress import along_tree, solved, stresses_of, wrench_of_load, wrenches
 from signorini_fenicsx.rigorous.simplices import root, simplices, total

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
 from signorini_fenicsx.cases.data_section import DataSection
 from signorini_fenicsx.cases.geometry import Geometry
-from signorini_fenicsx.cases.parts import Named, Parts, Section
+from signorini_fenicsx.cases.parts import Named, PartLists, Section
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cases.readings import ProbeTexts, SectionTexts, check_names, with_points
@@ -95,7 +95,7 @@ class CaseFile(Section):
     quantity: Annotated[list[QuantityTexts], Field(default=[], exclude_if=lambda quantities: not quantities)]
     probe: Annotated[list[ProbeTexts], Field(default=[], exclude_if=lambda probes: not probes)]
     section: Annotated[list[SectionTexts], Field(default=[], exclude_if=lambda sections: not sections)]
-    boundary: Parts
+    boundary: PartLists
     law: Annotated[Sequence[Any], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: DataSection
     exact: DataSection

@@ -66,7 +66,7 @@ class Named:
             raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
 
 
-class Parts(Section):
+class PartLists(Section):
     """`[boundary]`: parts for each kind of condition; "dirichlet" may be left out, and then has all others.
 
     Across parts inside the domain, "inner", u may jump. "sides" tells the named side of an inner part: the region of

@@ -16,7 +16,7 @@ from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.cases.parts import Section as CaseSection
 from signorini_fenicsx.cases.values import number
-from signorini_fenicsx.discrete.sections import Places, Section
+from signorini_fenicsx.discrete.sections import Profile, Spots
 from signorini_fenicsx.meshes.domain import AXES, Domain
 
 MOST = 10_000
@@ -82,9 +82,9 @@ class SectionTexts(CaseSection):
             raise ValueError("points: two points that follow one another are the same")
         return self
 
-    def made(self) -> Section:
+    def made(self) -> Profile:
         """The section."""
-        return Section(np.array(self.points), None if self.normal is None else np.array(self.normal))
+        return Profile(np.array(self.points), None if self.normal is None else np.array(self.normal))
 
 
 def check_names(probes: Sequence[ProbeTexts], sections: Sequence[SectionTexts]) -> None:
@@ -115,7 +115,7 @@ def check_places(domain: Domain, probes: Sequence[ProbeTexts], sections: Sequenc
         if any(len(point) != dim for point in each.points):
             raise InputError(f"[[{key}]] {each.name}: points must have {dim} coordinates, as the mesh has")
     for each in probes:
-        places = Places.of(domain, np.array(each.points))
+        places = Spots.of(domain, np.array(each.points))
         counts = domain.mesh.comm.allreduce(np.bincount(places.rows, minlength=len(each.points)))
         for point, label, count in zip(each.points, each.labels, counts, strict=True):
             if count == 0:

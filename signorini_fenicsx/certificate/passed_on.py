@@ -54,7 +54,7 @@ SHORTER = 1e-9
 
 
 @dataclass(frozen=True)
-class Fields:
+class LatticeFields:
     """The basis of divergence 0 of an element on the cells of the lattice, in any order of its entries.
 
     Attributes:
@@ -69,7 +69,7 @@ class Fields:
 
 
 @dataclass(frozen=True)
-class Response(ABC):
+class LatticeResponse(ABC):
     """Fields on the lattice of Kuhn's simplex for loads on its facet x_d = 0.
 
     Attributes:
@@ -84,7 +84,7 @@ class Response(ABC):
     products: Array
 
     @classmethod
-    def of(cls, dim: int, fields: Fields) -> Self:
+    def of(cls, dim: int, fields: LatticeFields) -> Self:
         """The response by the fields of an element on `kuhn_lattice` with `PARTS` (collective of nothing)."""
         parts, places = PARTS[dim], kuhn_lattice(dim, PARTS[dim])
         products = np.einsum("cmeb,mn,cned->cbd", fields.values, fields.masses, fields.values, optimize=True)
@@ -150,7 +150,7 @@ def hats_on_facet(x: Array) -> Array:
 
 
 def passed_on(
-    spaces: LinearTraces, flows: Iterator[tuple[Joint, Array]], compliance: Array, response: Response
+    spaces: LinearTraces, flows: Iterator[tuple[Joint, Array]], compliance: Array, response: LatticeResponse
 ) -> Array:
     """How large ⟨r, w⟩ may be beside |w|_T for each owned cell; both sides of a piece are on one rank (collective).
 
@@ -257,7 +257,7 @@ class Passed:
             yield np.bincount(self.place[i], squares, facets), len(i)
 
 
-def oscillation(comm: MPI.Comm, passed: Passed, edges: Array, compliance: Array, response: Response) -> Array:
+def oscillation(comm: MPI.Comm, passed: Passed, edges: Array, compliance: Array, response: LatticeResponse) -> Array:
     """What ⟨r, w⟩ on each master facet is at most beside |w| in the cell behind it, shape (masters,) (collective).
 
     Args:

@@ -5,7 +5,7 @@ adjoint state of a functional, are solutions of the same system. A physics says 
 (`solved`, `by`). What moves values of û, loads or lines of laws is linear in the numbers that are seen, see `Effect`.
 
 A biactive site, on a corner of its law, moves along one of the two rays of the moved corner. Which one is found like
-the sets of a solution, by Algorithm 1 on the change, see `Tangent`.
+the sets of a solution, by Algorithm 1 on the change, see `TangentProblem`.
 """
 
 from abc import ABC, abstractmethod
@@ -171,7 +171,7 @@ class Linearised(ABC):
         def solved(conditions: SiteConditions) -> Solved:
             return solve(conditions, np.where(chains.segments(conditions) == 1, upper, lower))
 
-        tangent = Tangent(self._backend, chains, solved)
+        tangent = TangentProblem(self._backend, chains, solved)
         start = chains.conditions((self._beside < 0).astype(np.int64))
         settled_change(tangent, start, number, self._solution.options.max_iterations)
         return tangent.found
@@ -216,7 +216,7 @@ class HybridLinearised(Linearised):
         return sigma, u, x
 
 
-class Tangent(PlainBackend):
+class TangentProblem(PlainBackend):
     """The problem that the change of a solution solves, as a backend: its sites are on lines or two rays from a corner.
 
     Attributes:

@@ -57,7 +57,7 @@ def null_space(matrix: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Simplices:
+class SomeCells:
     """Some cells by their vertices.
 
     Attributes:

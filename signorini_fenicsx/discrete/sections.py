@@ -45,7 +45,7 @@ def shares_in(mesh: dolfinx.mesh.Mesh, x: Array, cells: Entities | slice) -> tup
 
 
 @dataclass(frozen=True)
-class Places:
+class Spots:
     """Points, the same on all ranks, with the owned cells of a mesh around each, of which there may be several.
 
     Attributes:
@@ -128,7 +128,7 @@ class Through(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Section:
+class Profile:
     """A polyline in the plane, or a plane in space, the same on all ranks.
 
     Attributes:

@@ -133,7 +133,7 @@ def means(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, 
 
 
 @dataclass(frozen=True)
-class Moments:
+class LinearMoments:
     """Enclosures of the linear part of d = e − p on each of n simplices S; infinite where nothing is known.
 
     Attributes:
@@ -147,7 +147,7 @@ class Moments:
 
 def moments(
     tree: Tree, vertices: Array, p: Array, basis: Callable[[Array], Array], frame: Frame, weight: Array
-) -> Moments:
+) -> LinearMoments:
     """Enclose linear parts (collective): Σ weight·(what is unsure of `linear`)² ≤ 1 is aimed at, over all simplices.
 
     On a part P of S the quadrature is exact for linear functions l times what is within ρ of e, so it has (d, l)_P but
@@ -182,7 +182,7 @@ def moments(
     with np.errstate(invalid="ignore"):
         squares = np.sum(np.square(of_hats), axis=0) - np.sum(of_hats, axis=0) ** 2 / (corners + 1)
         linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
-    return Moments(np.where(np.isnan(linear), np.inf, linear), np.sqrt(square))
+    return LinearMoments(np.where(np.isnan(linear), np.inf, linear), np.sqrt(square))
 
 
 @dataclass(frozen=True)

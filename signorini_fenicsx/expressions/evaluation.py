@@ -22,11 +22,11 @@ from signorini_fenicsx.expressions.intervals import Elementary, FromNumPy, Inter
 from signorini_fenicsx.expressions.tree import (
     Binary,
     Call,
-    Comparison,
     Conditional,
     Coordinate,
     Negative,
     Number,
+    Relation,
     Tree,
     evaluate,
     exactly,
@@ -42,9 +42,9 @@ COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "!=": operator.ne,
 }
 CHOICES: dict[str, Callable[..., Conditional]] = {
-    "max": lambda a, b: Conditional(Comparison(">=", a, b), a, b),
-    "min": lambda a, b: Conditional(Comparison("<=", a, b), a, b),
-    "abs": lambda a: Conditional(Comparison(">=", a, exactly(0.0)), a, Negative(a)),
+    "max": lambda a, b: Conditional(Relation(">=", a, b), a, b),
+    "min": lambda a, b: Conditional(Relation("<=", a, b), a, b),
+    "abs": lambda a: Conditional(Relation(">=", a, exactly(0.0)), a, Negative(a)),
 }
 """Functions of the language that are choices."""
 LONGEST = 100_000

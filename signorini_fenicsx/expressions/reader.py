@@ -18,7 +18,6 @@ from signorini_fenicsx.expressions.tree import (
     And,
     Binary,
     Call,
-    Comparison,
     Condition,
     Conditional,
     Coordinate,
@@ -26,6 +25,7 @@ from signorini_fenicsx.expressions.tree import (
     Not,
     Number,
     Or,
+    Relation,
     Tree,
     exactly,
     substituted,
@@ -153,7 +153,7 @@ class _Reader:
                 values = [self.value(value)[0] for value in (left, *comparators)]
                 self.depth -= len(operators)
                 signs = [_COMPARISONS[type(operator)] for operator in operators]
-                tests = tuple(Comparison(*test) for test in zip(signs, values[:-1], values[1:], strict=True))
+                tests = tuple(Relation(*test) for test in zip(signs, values[:-1], values[1:], strict=True))
                 return tests[0] if len(tests) == 1 else And(tests)
             case ast.BoolOp(op=operator, values=operands):
                 self.enter(len(operands))

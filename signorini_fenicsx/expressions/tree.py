@@ -75,7 +75,7 @@ class Conditional:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class Relation:
     """One of < <= > >= == !=; a chain of them is an `And`."""
 
     sign: str
@@ -105,7 +105,7 @@ class Not:
 
 
 type Tree = Number | Coordinate | Negative | Binary | Call | Conditional
-type Condition = Comparison | And | Or | Not
+type Condition = Relation | And | Or | Not
 
 
 TREES = Number | Coordinate | Negative | Binary | Call | Conditional
@@ -181,7 +181,7 @@ def _evaluated(tree: Tree, algebra: Algebra, known: dict[Tree, Any] | None) -> A
 def holds(condition: Condition, algebra: Algebra, of: Callable[[Tree], Any]) -> Any:
     """Whether a condition holds in an algebra; `of` gives the values of trees in it."""
     match condition:
-        case Comparison(sign=sign, left=left, right=right):
+        case Relation(sign=sign, left=left, right=right):
             return algebra.compare(sign, of(left), of(right))
         case And(operands=operands) | Or(operands=operands):
             join = algebra.both if isinstance(condition, And) else algebra.either
@@ -243,6 +243,6 @@ def _is_constant(part: Any) -> bool:
     """Whether there is no coordinate in a tree, or in a part of one."""
     if isinstance(part, tuple):
         return all(map(_is_constant, part))
-    if isinstance(part, TREES | Comparison | And | Or | Not):
+    if isinstance(part, TREES | Relation | And | Or | Not):
         return not isinstance(part, Coordinate) and all(_is_constant(getattr(part, each.name)) for each in fields(part))
     return True

@@ -21,7 +21,7 @@ PARALLEL = 1e-6
 
 
 @dataclass(frozen=True)
-class Cut:
+class Opened:
     """A mesh that has been cut.
 
     Attributes:
@@ -37,7 +37,7 @@ class Cut:
     pairs: Indices
 
 
-def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
+def cut(points: Array, cells: Indices, facets: Indices) -> Opened:
     """Cut a mesh along facets.
 
     Args:
@@ -77,7 +77,7 @@ def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
     new_cells[cell, place] = of_group[group]
     sides = faces(new_cells)[pairs]
     opened = np.any(sides[:, 0] != sides[:, 1], axis=1)
-    return Cut(np.concatenate([points, points[vertex[~is_first]]]), new_cells, sides[opened], pairs[opened] % number)
+    return Opened(np.concatenate([points, points[vertex[~is_first]]]), new_cells, sides[opened], pairs[opened] % number)
 
 
 def _corner(cells: Indices, row: Indices, of: Indices, vertex: Indices) -> Indices:

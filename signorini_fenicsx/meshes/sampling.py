@@ -39,7 +39,7 @@ def curve_gap(domain: Domain) -> float:
 
 
 @dataclass(frozen=True)
-class Frame:
+class Scaling:
     """A frame in which a domain is near 0 and has a size around 1: (x − origin) · factor.
 
     Attributes:
@@ -60,12 +60,12 @@ class Frame:
 
 
 @contextlib.contextmanager
-def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[Frame]:
+def of_unit_size(domain: Domain, *meshes: dolfinx.mesh.Mesh) -> Iterator[Scaling]:
     """Move meshes of a domain into a frame inside this context, because DOLFINx searches with fixed tolerances.
 
     Collective.
     """
-    frame = Frame(domain.box().mean(axis=0), 2.0 ** round(math.log2(domain.curvature)))
+    frame = Scaling(domain.box().mean(axis=0), 2.0 ** round(math.log2(domain.curvature)))
     before = [mesh.geometry.x.copy() for mesh in meshes]
     try:
         for mesh, x in zip(meshes, before, strict=True):
@@ -133,7 +133,7 @@ def sampled(
 
 
 def _search(
-    samples: fem.FunctionSpace, space: fem.FunctionSpace, cells: npt.NDArray[np.int32], source: Domain, frame: Frame
+    samples: fem.FunctionSpace, space: fem.FunctionSpace, cells: npt.NDArray[np.int32], source: Domain, frame: Scaling
 ) -> dolfinx.geometry.PointOwnershipData:
     """The cells of a mesh in a frame in which the points of some cells of another mesh are (collective).
 

@@ -24,7 +24,7 @@ FLAT = 1e-12
 
 
 @dataclass(frozen=True)
-class Surface:
+class Foundation:
     """A surface; all ranks have all of it.
 
     Attributes:
@@ -73,13 +73,13 @@ class Surface:
         return solved[:, -1], np.flatnonzero(crosses & inside)
 
 
-def read_surface(comm: MPI.Comm, path: str | Path, dim: int) -> Surface:
+def read_surface(comm: MPI.Comm, path: str | Path, dim: int) -> Foundation:
     """Read a surface in space, or a line in the plane (collective; rank 0 reads).
 
     Raises:
         InputError: If the file cannot be read, or has no triangles, in the plane no segments.
     """
-    return Surface(on_root(comm, lambda: read_file("surface", str(path), partial(_corners, dim))))
+    return Foundation(on_root(comm, lambda: read_file("surface", str(path), partial(_corners, dim))))
 
 
 def _corners(dim: int, contents: Contents) -> Array:

@@ -171,7 +171,7 @@ def _draw(
 ) -> None:
     """Draw the pictures over time, with what the physics wants of the fields that the steps kept (collective)."""
     from signorini_fenicsx.pictures import drawing  # takes a second to import
-    from signorini_fenicsx.pictures.panels import Steps
+    from signorini_fenicsx.pictures.panels import DrawnSteps
     from signorini_fenicsx.pictures.scene import gathered_scene
 
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
@@ -185,6 +185,6 @@ def _draw(
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
             others = [steps.table(step, kind, OPPOSITE) for step in range(1, len(times) + 1) if scene.opposite]
             readings = {name: [steps.readings(row, name) for row in rows] for name in solution.readings}
-            drawing.draw_steps(folder, scene, Steps(times, tables, rows, kept, readings, others))
+            drawing.draw_steps(folder, scene, DrawnSteps(times, tables, rows, kept, readings, others))
 
     on_root(comm, write)

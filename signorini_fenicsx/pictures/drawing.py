@@ -8,7 +8,7 @@ import matplotlib as mpl
 from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.curves import draw_probes, draw_quantities
-from signorini_fenicsx.pictures.panels import Steps, error_panel
+from signorini_fenicsx.pictures.panels import DrawnSteps, error_panel
 from signorini_fenicsx.pictures.plane import Plane
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
@@ -33,7 +33,7 @@ def overview(scene: Scene) -> Sheet:
 
 
 @mpl.rc_context(style.STYLE)
-def draw_steps(folder: Path, scene: Scene, steps: Steps) -> None:
+def draw_steps(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
     """Draw the pictures of a run in time (rank 0)."""
     scene.pictures.in_time(folder, scene, steps)
     labels = {each.name: each.label for each in getattr(scene.solution.source, "quantity", ())}

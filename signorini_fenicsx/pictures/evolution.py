@@ -18,7 +18,7 @@ from PIL import Image
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.panels import Panel, Steps, Where
+from signorini_fenicsx.pictures.panels import DrawnSteps, Panel, Where
 from signorini_fenicsx.pictures.plane import Plane
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
@@ -37,7 +37,7 @@ NONE: Curves = MappingProxyType({})
 
 
 @mpl.rc_context(style.STYLE)
-def draw_over_time(path: Path, scene: Scene, steps: Steps, panels: Sequence[Panel], curves: Curves = NONE) -> None:
+def draw_over_time(path: Path, scene: Scene, steps: DrawnSteps, panels: Sequence[Panel], curves: Curves = NONE) -> None:
     """Draw panels of Γ_S over time: along each part in the plane, in space at three times (rank 0).
 
     Args:
@@ -192,7 +192,7 @@ def shown(steps: int) -> list[int]:
 
 
 @mpl.rc_context(style.STYLE)
-def animate(path: Path, scene: Scene, steps: Steps, fields: Mapping[int, Array]) -> None:
+def animate(path: Path, scene: Scene, steps: DrawnSteps, fields: Mapping[int, Array]) -> None:
     """Write a field in cells and the sets over time as an animated GIF (rank 0).
 
     Args:

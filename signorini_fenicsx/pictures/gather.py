@@ -17,7 +17,7 @@ from signorini_fenicsx.solving.drawn import Kind
 
 
 @dataclass(frozen=True)
-class Boundary:
+class DrawnBoundary:
     """One row per boundary facet of all ranks.
 
     Attributes:
@@ -65,7 +65,7 @@ def sample_of(spaces: MeshSpaces) -> Sample:
     return Sample(spaces.mesh, np.concatenate([spaces.facets, spaces.dirichlet_facets, spaces.neumann_facets]))
 
 
-def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Kind], sample: Sample) -> Boundary | None:
+def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Kind], sample: Sample) -> DrawnBoundary | None:
     """The boundary on rank 0; None elsewhere (collective)."""
     columns = [
         np.column_stack([values, np.full(len(facets), kind), facet_vertices(mesh, facets), _middles(mesh, facets)])
@@ -77,7 +77,7 @@ def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Kind], sample: Samp
     dim = mesh.topology.dim
     values, (kind, vertices, middles) = rows[:, : -2 * dim - 1], np.split(rows[:, -2 * dim - 1 :], [1, 1 + dim], axis=1)
     u = values[:, 0] if values.shape[1] == 1 else values
-    return Boundary(kind[:, 0].astype(np.int64), u, sample.rows_of(vertices.astype(np.int64)), middles)
+    return DrawnBoundary(kind[:, 0].astype(np.int64), u, sample.rows_of(vertices.astype(np.int64)), middles)
 
 
 def _middles(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:

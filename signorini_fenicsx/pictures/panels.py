@@ -157,12 +157,12 @@ class Pictures:
     files: Callable[[Scene], Mapping[str, File]]
     over: Callable[[Scene, list[Overlay]], list[Overlay]] = lambda scene, usual: usual
     kept: Callable[[Any, int], Mapping[str, Sequence[int]]] = lambda solution, steps: {}
-    in_time: Callable[[Path, Scene, Steps], None] = lambda folder, scene, steps: None
+    in_time: Callable[[Path, Scene, DrawnSteps], None] = lambda folder, scene, steps: None
     words: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Steps:
+class DrawnSteps:
     """A run in time (rank 0).
 
     Attributes:

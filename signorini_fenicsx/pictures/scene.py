@@ -26,7 +26,7 @@ from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.discrete.site_table import Facets
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.gather import Boundary, Fields, boundary_of, fields_of, sample_of
+from signorini_fenicsx.pictures.gather import DrawnBoundary, Fields, boundary_of, fields_of, sample_of
 from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures
 from signorini_fenicsx.pictures.sample import Sample
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
@@ -75,7 +75,7 @@ class Scene:
     fields: Fields
     facets: Facets
     sites: Any
-    boundary: Boundary
+    boundary: DrawnBoundary
     segments: Sequence[str] = ()
     edges: str = ""
     inside: Collection[str] = ()

@@ -185,7 +185,7 @@ class Beside[Fields](ABC):
         """The root of κ⁻¹ or of 𝔸, about (collective)."""
 
 
-class Integrals[Fields](Beside[Fields]):
+class IntegralsBeside[Fields](Beside[Fields]):
     """The problems beside that of a solution for the integral of u with a weight, or its mean.
 
     Attributes:

@@ -46,7 +46,7 @@ class Mean(Integral):
 
 
 @dataclass(frozen=True)
-class OnParts(Kind):
+class QuantityOnParts(Kind):
     """A quantity of what acts on parts of the boundary.
 
     Attributes:
@@ -66,7 +66,7 @@ class OnParts(Kind):
 
 
 @dataclass(frozen=True)
-class Flux(OnParts):
+class Flux(QuantityOnParts):
     """∫ weight·κ∇u·n over parts of the boundary, or inside the domain, where u or a law is given.
 
     Attributes:
@@ -81,7 +81,7 @@ class Flux(OnParts):
 
 
 @dataclass(frozen=True)
-class Flow(OnParts):
+class Flow(QuantityOnParts):
     """∫u·n over parts of the boundary of a fluid: what flows out through them."""
 
 
@@ -102,7 +102,7 @@ class Dissipation(Kind):
 
 
 @dataclass(frozen=True)
-class Force(OnParts):
+class Force(QuantityOnParts):
     """∫ σn·direction over parts of the boundary where an elastic body is held, or in contact: the force on it there.
 
     Attributes:

@@ -24,7 +24,7 @@ INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
-class Cells:
+class MeshCells:
     """The cells of a mesh.
 
     Attributes:
@@ -44,7 +44,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Discrete(Cells):
+class Discrete(MeshCells):
     """A mesh, a flux in RT0 and a continuous function in P2.
 
     Attributes:
@@ -61,7 +61,7 @@ class Discrete(Cells):
 
 
 @dataclass(frozen=True)
-class Facets:
+class MeshFacets:
     """Some facets, each with one of its cells.
 
     Attributes:
@@ -79,12 +79,12 @@ class Facets:
     measure: Interval
 
 
-def boundary(discrete: Discrete, kind: int) -> Facets:
+def boundary(discrete: Discrete, kind: int) -> MeshFacets:
     """All facets of one kind."""
     return facets_at(discrete, discrete.kinds == kind)
 
 
-def facets_at(cells_of_mesh: Cells, chosen: Mask) -> Facets:
+def facets_at(cells_of_mesh: MeshCells, chosen: Mask) -> MeshFacets:
     """The facets at which a mask of the facets of all cells is True."""
     dim = cells_of_mesh.dim
     number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
@@ -95,7 +95,7 @@ def facets_at(cells_of_mesh: Cells, chosen: Mask) -> Facets:
     cells, local = np.nonzero(chosen)
     nodes = np.array(table, dtype=np.int64)[local]
     corners = cells_of_mesh.vertices[cells[:, None], nodes[:, :dim]]
-    return Facets(cells, local, nodes, corners, facet_measures(corners))
+    return MeshFacets(cells, local, nodes, corners, facet_measures(corners))
 
 
 def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
@@ -147,7 +147,7 @@ def gathered_rows(
         columns: Further arrays of the owned cells, by name.
 
     Returns:
-        The arrays, and the three of `Cells` by their names; None on other ranks.
+        The arrays, and the three of `MeshCells` by their names; None on other ranks.
     """
     mesh = spaces.mesh
     comm, dim = mesh.comm, mesh.topology.dim

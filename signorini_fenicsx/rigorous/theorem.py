@@ -58,7 +58,7 @@ from signorini_fenicsx.rigorous.discrete import (
     NEUMANN,
     SIGNORINI,
     Discrete,
-    Facets,
+    MeshFacets,
     alike_in_nodes,
     boundary,
     gathered,
@@ -85,7 +85,7 @@ from signorini_fenicsx.rigorous.tensor import Tensor
 
 
 @dataclass(frozen=True)
-class Trace:
+class Enclosed:
     """The admissible function.
 
     Attributes:
@@ -101,7 +101,7 @@ class Trace:
     highest: Interval
 
 
-def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
+def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Enclosed:
     """Make the trace of v admissible.
 
     Raises:
@@ -123,7 +123,7 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     height = mean(above, dim) - psi.mean + beside
     highest = enclosing(bernstein(above, dim).hi.max(axis=1)) + psi.largest + beside
     extra = enclosing(correction.extra)
-    return Trace(enclosing(discrete.v) + lift, extra, *(larger(each, enclosing(0.0)) for each in (height, highest)))
+    return Enclosed(enclosing(discrete.v) + lift, extra, *(larger(each, enclosing(0.0)) for each in (height, highest)))
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
     return _Correction(extra, size, slope)
 
 
-def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
+def _at_seam(given: Given, facets: MeshFacets, fixed: Mask) -> Array:
     """Lower bound ≥ 0 of u_D − ψ on those faces of each Γ_S facet that are on Γ_D; 0 if there are none.
 
     Raises:
@@ -195,7 +195,7 @@ def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
     return lowest
 
 
-def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction: _Correction) -> Interval:
+def _spare(facets: MeshFacets, fixed: Mask, q: Interval, psi: Deviation, correction: _Correction) -> Interval:
     """Bernstein coefficients of the quadratic of the module, without Σρλ, on each facet."""
     dim = fixed.shape[1] - 1
     edges = EDGES[dim]
@@ -369,7 +369,7 @@ def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
     return enclosing(np.zeros(len(same))).where(same, more)
 
 
-def _trace_constant(cells: Simplices, kappa: Tensor, facets: Facets) -> Interval:
+def _trace_constant(cells: Simplices, kappa: Tensor, facets: MeshFacets) -> Interval:
     """The constant C_e of `physics/diffusion/bound/local_fields`, with ĥ in place of δ_T."""
     factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
     return root(facets.measure / cells.measure[facets.cells] * factor) * kappa.diameter[facets.cells]

@@ -14,7 +14,7 @@ class Physics:
     """A physics; its attributes are found, by `late`, when they are first used, so that little is imported.
 
     Attributes:
-        problem: The class of its problems, which are `Posed`.
+        problem: The class of its problems, which are `PosedProblem`.
         system: The class of its systems, a `System`.
         keeping: How its solutions are kept in files, a `Keeping`.
         case: The class of its case files, a `CaseFile`; None if there are none.

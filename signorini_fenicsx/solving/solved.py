@@ -18,7 +18,7 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.curved import of_polygon
-from signorini_fenicsx.discrete.sections import Places, Section, Through
+from signorini_fenicsx.discrete.sections import Profile, Spots, Through
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.meshes.sampling import at_points
@@ -220,7 +220,7 @@ class Solved(ABC):
         x, domain = as_points(self.spaces.domain, points), self.spaces.domain
         fields = {"u": self.potential, "sigma": self.sigma}
         return {
-            name: Places.of(domain, x, field.function_space.mesh).of_function(field) for name, field in fields.items()
+            name: Spots.of(domain, x, field.function_space.mesh).of_function(field) for name, field in fields.items()
         }
 
     @collector_off()
@@ -240,7 +240,7 @@ class Solved(ABC):
             raise InputError(
                 "section: give at least two points of a polyline in the plane, in space a point and a normal"
             )
-        return Section(x, None if normal is None else np.asarray(normal, dtype=float)).through(
+        return Profile(x, None if normal is None else np.asarray(normal, dtype=float)).through(
             self.spaces.domain, self.sigma
         )
 

@@ -52,7 +52,7 @@ class Wish:
     on_step: OnStep = lambda step: None
 
 
-class Posed[S: Solved](Protocol):
+class PosedProblem[S: Solved](Protocol):
     """A problem with conditions on parts, such as `Diffusion`, and what its solutions are."""
 
     @property
@@ -63,7 +63,7 @@ class Posed[S: Solved](Protocol):
         """The problem sorted by the kinds of its boundary, of which it has the parts as `boundary` (collective)."""
 
 
-class Run(Protocol):
+class SolverRun(Protocol):
     """A problem on its mesh, ready to be solved."""
 
     def remarks(self) -> Sequence[str]:
@@ -99,7 +99,7 @@ class System(Protocol):
             InputError: If a part is unknown, empty or not on the boundary.
         """
 
-    def prepared(self, problem: Any, wish: Wish) -> Run:
+    def prepared(self, problem: Any, wish: Wish) -> SolverRun:
         """Read the data of a problem with this boundary, and check them (collective).
 
         Raises:
@@ -233,7 +233,7 @@ class Solver[S: Solved]:
     """
 
     @collector_off()
-    def __init__(self, domain: Domain, problem: Posed[S] | Any):
+    def __init__(self, domain: Domain, problem: PosedProblem[S] | Any):
         """Set up the spaces (collective).
 
         Args:
@@ -275,7 +275,7 @@ class Solver[S: Solved]:
     @collector_off()
     def solve(
         self,
-        problem: Posed[S] | Any,
+        problem: PosedProblem[S] | Any,
         options: Options | None = None,
         *,
         start: Any = None,
@@ -324,7 +324,7 @@ class Solver[S: Solved]:
 @collector_off()
 def solve[S: Solved](
     domain: Domain,
-    problem: Posed[S] | Any,
+    problem: PosedProblem[S] | Any,
     options: Options | None = None,
     *,
     start: Any = None,

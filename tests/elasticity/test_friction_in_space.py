@@ -28,7 +28,7 @@ from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES
 from signorini_fenicsx.physics.elasticity.show.tables import STATES, ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.pictures import space
-from signorini_fenicsx.pictures.panels import Panel, Steps, Where
+from signorini_fenicsx.pictures.panels import DrawnSteps, Panel, Where
 from signorini_fenicsx.pictures.scene import gathered_scene
 from signorini_fenicsx.pictures.sheet import Sheet
 from signorini_fenicsx.pictures.space import Space
@@ -350,7 +350,7 @@ def test_pictures_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     scaled = ("pressure", "shear", "slip", "shear_vector", "slip_vector")
     tables = [replace(whole, **{key: share * getattr(whole, key) for key in scaled}) for share in shares]
     rows = [{"t": share, "contact_force": share} for share in shares]
-    PICTURES.in_time(tmp_path, body, Steps(shares, tables, rows, {}))
+    PICTURES.in_time(tmp_path, body, DrawnSteps(shares, tables, rows, {}))
     assert [name for name, _ in drawn] == ["forces.png", "contact.png"]
     sheet = drawn[1][1]
     views = [axes for axes in sheet.axes if axes.get_title()]

@@ -24,7 +24,7 @@ from signorini_fenicsx import (
     solve,
     solve_case,
 )
-from signorini_fenicsx.meshes.surfaces import Surface
+from signorini_fenicsx.meshes.surfaces import Foundation
 
 COMM = MPI.COMM_WORLD
 SIDES = Neumann(["x0", "x1", "y0", "y1"])
@@ -45,12 +45,12 @@ def test_distances():
     corners = np.array([[[0.0, 0, 1], [2, 0, 2], [0, 2, 1]], [[2, 0, 2], [2, 2, 2], [0, 2, 1]]])  # z = 1 + x/2
     x = np.array([[0.5, 0.5, 0.0], [1.0, 1.0, 0.0], [0.5, 0.5, 2.0], [3.0, 0.5, 0.0], [0.5, 0.5, 0.0]])
     along = np.array([[0.0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0]])
-    np.testing.assert_allclose(Surface(corners).distances(x, along), [1.25, 1.5, -0.75, np.inf, np.inf], rtol=1e-14)
+    np.testing.assert_allclose(Foundation(corners).distances(x, along), [1.25, 1.5, -0.75, np.inf, np.inf], rtol=1e-14)
     oblique = np.array([[0.6, 0.0, 0.8]])
-    np.testing.assert_allclose(Surface(corners).distances(x[:1], oblique), 1.25 / 0.5)
+    np.testing.assert_allclose(Foundation(corners).distances(x[:1], oblique), 1.25 / 0.5)
     angles = np.linspace(0, 2 * np.pi, 401)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    wheel = Surface(np.stack([circle[:-1], circle[1:]], axis=1))
+    wheel = Foundation(np.stack([circle[:-1], circle[1:]], axis=1))
     height = np.linspace(-0.9, 0.9, 37)
     starts, down = np.stack([height, np.full(37, 1.5)], axis=1), np.tile([0.0, -1.0], (37, 1))
     np.testing.assert_allclose(wheel.distances(starts, down), 1.5 - np.sqrt(1 - height**2), atol=1e-4)

@@ -33,10 +33,10 @@ from signorini_fenicsx.pictures.curves import draw_steps, moves
 from signorini_fenicsx.pictures.cuts import SLANTED, Cut, outward
 from signorini_fenicsx.pictures.drawing import draw_all, overview
 from signorini_fenicsx.pictures.evolution import draw_over_time
-from signorini_fenicsx.pictures.gather import Boundary, Fields
+from signorini_fenicsx.pictures.gather import DrawnBoundary, Fields
 from signorini_fenicsx.pictures.geometry import thinned
 from signorini_fenicsx.pictures.page import plain
-from signorini_fenicsx.pictures.panels import Panel, Steps
+from signorini_fenicsx.pictures.panels import DrawnSteps, Panel
 from signorini_fenicsx.pictures.plane import Plane, levels_between, on_levels
 from signorini_fenicsx.pictures.scene import Scene, caption, gathered_scene
 from signorini_fenicsx.pictures.sheet import Sheet, _wrapped
@@ -139,7 +139,7 @@ def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
     cube = scene("cube", h=0.5)
     tables = [replace(cube.sites, condition=np.roll(cube.sites.condition, 20 * step)) for step in range(5)]
-    draw_over_time(tmp_path / "contact.png", cube, Steps([1.0, 2.0, 3.0, 4.0, 5.0], tables, [{}], {}), [SETS])
+    draw_over_time(tmp_path / "contact.png", cube, DrawnSteps([1.0, 2.0, 3.0, 4.0, 5.0], tables, [{}], {}), [SETS])
     assert_apart(sheet := drawn[0])
     assert [axes.get_title() for axes in sheet.axes] == [*(f"contact set, $t = {t}$" for t in "135"), "sets"]
     images = [axes.images[0].get_array() for axes in sheet.axes[:3]]
@@ -243,7 +243,7 @@ def test_boundary_is_the_same_on_all_ranks():
     if both is None or one is None:
         return
 
-    def rows(boundary: Boundary) -> np.ndarray:
+    def rows(boundary: DrawnBoundary) -> np.ndarray:
         table = np.column_stack([boundary.vertices, boundary.kind, boundary.u])
         return table[np.lexsort(table[:, 1::-1].T)]
 

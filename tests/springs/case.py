@@ -7,11 +7,11 @@ from pydantic import Field
 
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.data_section import DataSection
-from signorini_fenicsx.cases.parts import Parts
+from signorini_fenicsx.cases.parts import PartLists
 from springs.solving import Bed, Edges
 
 
-class RestingParts(Parts):
+class RestingParts(PartLists):
     """`[boundary]`: the parts of Γ."""
 
     rests: list[str] = Field(default=[])

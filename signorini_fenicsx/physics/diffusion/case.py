@@ -10,7 +10,7 @@ from signorini_fenicsx.cases.case import Cost, Times
 from signorini_fenicsx.cases.data_section import DataSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD
 from signorini_fenicsx.cases.pairs import BETWEEN, KINDS, LawTexts, PairTexts, WithPairs
-from signorini_fenicsx.cases.parts import Parts
+from signorini_fenicsx.cases.parts import PartLists
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.values import ByRegion, ExpressionByRegion, ExpressionOrByPart, choice
 from signorini_fenicsx.contact.law import EVERYWHERE, Law, LawWithMemory
@@ -73,7 +73,7 @@ class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
         """The data that are given by part."""
         return {key: getattr(self, key) for key in OF_LIST if isinstance(getattr(self, key), dict)}
 
-    def read(self, names: str, boundary: "Boundary") -> Problem:
+    def read(self, names: str, boundary: "ScalarParts") -> Problem:
         """The data as trees in these variables, those that differ between parts as laws.
 
         Raises:
@@ -98,7 +98,7 @@ class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
         return Problem(**data, laws=laws, form=self.form)
 
 
-class Boundary(Parts):
+class ScalarParts(PartLists):
     """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
 
     Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
@@ -173,7 +173,7 @@ class Case(WithPairs):
     first_words = tuple(LAWS)
     first_data = FIRST_DATA
     first_pairs = ("tied", *BETWEEN)
-    boundary: Boundary = Boundary()
+    boundary: ScalarParts = ScalarParts()
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
     pair: Annotated[list[ScalarPair], Field(default=[], exclude_if=lambda pairs: not pairs)]

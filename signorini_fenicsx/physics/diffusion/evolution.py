@@ -39,7 +39,7 @@ from signorini_fenicsx.discrete.remembered import Remembered
 from signorini_fenicsx.discrete.seen import seen_in_cells
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows, at_time, is_fixed, parsed
-from signorini_fenicsx.expressions.tree import Comparison, Conditional
+from signorini_fenicsx.expressions.tree import Conditional, Relation
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.discrete.coefficients import cell_means
@@ -387,7 +387,7 @@ def _least_theta(law: Storage, u: Tree) -> Tree:
 
 
 def _up_to(u: Tree, corner: tuple[Given, Given], then: Tree, otherwise: Tree) -> Tree:
-    return Conditional(Comparison("<=", u, _tree(corner[0])), then, otherwise)
+    return Conditional(Relation("<=", u, _tree(corner[0])), then, otherwise)
 
 
 def _tree(given: Given) -> Tree:

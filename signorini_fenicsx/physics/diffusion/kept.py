@@ -20,7 +20,7 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import linear_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, linear_spaces
-from signorini_fenicsx.physics.diffusion.discrete.storing import Water
+from signorini_fenicsx.physics.diffusion.discrete.storing import WaterBefore
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -149,7 +149,7 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
         memory = stored.in_cells(spaces, "memory")
         if "storing" in stored.arrays:
             soils = stored.in_cells(spaces, "storing"), memory
-            data = data.after(Water(function_of(spaces.Q, 0 * means), means[:, None]))
+            data = data.after(WaterBefore(function_of(spaces.Q, 0 * means), means[:, None]))
         else:
             data = data.after(function_of(spaces.Q, memory, "memory"))
     if data.quasilinear is not None:

@@ -18,7 +18,7 @@ from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import quasilinear_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, Water
+from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, WaterBefore
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps, Left, instead_of_rt1
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -129,11 +129,11 @@ class SoilSteps(DiffusionSteps):
         ]
         return replace(past, left=left)
 
-    def memory(self, step: int, before: Sequence[Left]) -> Water:
+    def memory(self, step: int, before: Sequence[Left]) -> WaterBefore:
         """Σ_k w_k θ_(n−k), and the last û."""
         last = before[0]
         assert isinstance(last, Wet)
-        return Water(super().memory(step, before), last.traces, self.rate(step))
+        return WaterBefore(super().memory(step, before), last.traces, self.rate(step))
 
 
 def _storing(solution: Solution) -> Storing:

@@ -31,7 +31,7 @@ from signorini_fenicsx.physics.diffusion.show import heads, phreatic, shown
 from signorini_fenicsx.physics.diffusion.show.differences import differences
 from signorini_fenicsx.physics.diffusion.show.errors import exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
-from signorini_fenicsx.physics.diffusion.show.seepage import Seepage, seepage
+from signorini_fenicsx.physics.diffusion.show.seepage import DamSeepage, seepage
 from signorini_fenicsx.physics.diffusion.show.states import sizes
 from signorini_fenicsx.physics.diffusion.show.water import balance, discharges, in_words, of_step
 from signorini_fenicsx.solution import Solution as AnySolution
@@ -427,7 +427,7 @@ class Solution(AnySolution):
         return tables if self.water_kind is None else tables | {"phreatic": phreatic.table(self)}
 
     @cached_property
-    def seepage(self) -> Seepage | None:
+    def seepage(self) -> DamSeepage | None:
         """The seepage through a dam of a case with [dam]; None for others (collective when first used)."""
         return seepage(self)
 

@@ -11,7 +11,7 @@ from signorini_fenicsx.cases.case import Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.pairs import BETWEEN, OF_KIND, OF_LAWS, PairTexts, WithPairs
-from signorini_fenicsx.cases.parts import Parts
+from signorini_fenicsx.cases.parts import PartLists
 from signorini_fenicsx.cases.plot import OF_BODIES
 from signorini_fenicsx.cases.values import (
     Directions,
@@ -39,7 +39,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenVector,
     GivenVectorByPart,
     Meeting,
-    Plane,
+    PlaneState,
     of_meeting,
 )
 from signorini_fenicsx.physics.elasticity.scope import outside
@@ -50,7 +50,7 @@ COSTS = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 1500, 300)}
 """On 110 000 to 1 300 000 unknowns; an order of magnitude."""
 
 
-class ElasticParts(Parts):
+class ElasticParts(PartLists):
     """`[boundary]`: the parts in contact, with given traction, and fixed in some components; the rest is Γ_D.
 
     Where two bodies touch, the part is one of "inner" as well.
@@ -210,7 +210,7 @@ OF_PROBLEM = data_section(
     surface=None,
     force=None,
     moment=None,
-    plane=Annotated[str, choice("plane", tuple(Plane))],
+    plane=Annotated[str, choice("plane", tuple(PlaneState))],
     exact=None,
     laws=None,
     numbers=None,

@@ -57,7 +57,7 @@ type GivenAxes = Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Give
 NORMAL, TANGENTIAL = "n", "t"
 
 
-class Plane(StrEnum):
+class PlaneState(StrEnum):
     """What a problem in the plane is a section of."""
 
     STRAIN = "strain"
@@ -89,14 +89,14 @@ class Support(OnParts):
 
 
 @dataclass(frozen=True)
-class Body:
+class ElasticBody:
     """What a problem of elasticity has wherever its conditions are, see `Elasticity`."""
 
     young: GivenModulus
     poisson: GivenModulus
     f: GivenVectorByRegion | None = None
     u_D: GivenVectorByPart | None = None
-    plane: str = Plane.STRAIN
+    plane: str = PlaneState.STRAIN
     exact: GivenVector | None = None
     _: KW_ONLY
     shear: GivenModulus | None = None
@@ -106,7 +106,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Elasticity(Body):
+class Elasticity(ElasticBody):
     """−∇·σ = f, σ = ℂε(u), with a condition on each part of the boundary; u = u_D where there is none.
 
     The conditions are `Dirichlet`, also in some components, `Neumann`, `Pressure`, `Support`, `Contact`, and other laws
@@ -199,7 +199,7 @@ class Elasticity(Body):
         u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
-        same = {each.name: getattr(self, each.name) for each in fields(Body) if each.name != "u_D"}
+        same = {each.name: getattr(self, each.name) for each in fields(ElasticBody) if each.name != "u_D"}
         return ElasticProblem(
             **same,
             boundary=boundary,
@@ -285,7 +285,7 @@ class ElasticBoundary:
 
 
 @dataclass(frozen=True)
-class ElasticProblem(Body):
+class ElasticProblem(ElasticBody):
     """−∇·σ = f, σ = ℂε(u), u = u_D on Γ_D, σn = g_N on Γ_N; u_n ≤ g, σ_nn ≤ 0, one of them equal, σ_t = 0 on Γ_C.
 
     Attributes:
@@ -332,7 +332,7 @@ class ElasticProblem(Body):
 
     def __post_init__(self) -> None:
         """Refuse what is neither strain nor stress, other laws, and parts with two; add the parts of laws to Γ_C."""
-        if self.plane not in list(Plane):
+        if self.plane not in list(PlaneState):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
         if not isinstance(self.laws, Sequence) or not all(isinstance(law, Law) for law in self.laws):
             raise InputError('laws: must be a list of laws, such as [CoulombLaw("bottom", 0.3)]')

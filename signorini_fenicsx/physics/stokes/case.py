@@ -10,7 +10,7 @@ from signorini_fenicsx.cases.case import CaseFile, Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.pairs import OF_KIND, OF_LAWS
-from signorini_fenicsx.cases.parts import Parts
+from signorini_fenicsx.cases.parts import PartLists
 from signorini_fenicsx.cases.plot import OF_FLOWS
 from signorini_fenicsx.cases.values import (
     Expression,
@@ -38,7 +38,7 @@ OF_DATA = OF_LAWS | {
 KINDS: Mapping[str, type] = {"outflow": Outflow, "slip": Slip, "leak": Leak, Corners.word: LAWS[Corners.word]}
 
 
-class FlowParts(Parts):
+class FlowParts(PartLists):
     """`[boundary]`: the parts with a given traction, and those fixed in some components; on the rest u is given."""
 
     neumann: list[str] = Field(default=[])

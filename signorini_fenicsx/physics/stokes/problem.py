@@ -106,7 +106,7 @@ class Slip(OnParts):
 
 
 @dataclass(frozen=True)
-class Flow:
+class ViscousFlow:
     """What a problem of flow has wherever its conditions are, see `Stokes`."""
 
     viscosity: GivenViscosity
@@ -115,7 +115,7 @@ class Flow:
 
 
 @dataclass(frozen=True)
-class Stokes(Flow):
+class Stokes(ViscousFlow):
     """−∇·σ = f, σ = 2με(u) − pI, ∇·u = 0, with a condition on each part of the boundary; u = u_D where there is none.
 
     The conditions are `Dirichlet`, also of components "n" or "t" or of letters of "xyz", `Neumann` for a traction σn,

@@ -20,13 +20,13 @@ from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.rigorous.discrete import Cells, alike, gathered_rows
+from signorini_fenicsx.rigorous.discrete import MeshCells, alike, gathered_rows
 
 NONE = -1
 
 
 @dataclass(frozen=True)
-class ElasticDiscrete(Cells):
+class ElasticDiscrete(MeshCells):
     """A mesh with a stress, a displacement and the data.
 
     The vertices of cells and facets are in one order, that of `ElasticSpaces.order`. Facet i of a cell is opposite to

@@ -29,7 +29,7 @@ from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.rigorous.balance import balanced
-from signorini_fenicsx.rigorous.discrete import Cells
+from signorini_fenicsx.rigorous.discrete import MeshCells
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE
 from signorini_fenicsx.rigorous.simplices import Simplices, total
 
@@ -228,7 +228,7 @@ def solved(matrix: Interval, right: Interval) -> Interval:
 
 
 def equilibrated(
-    cells_of_mesh: Cells, pair: Indices, outlets: Mask, holds: Interval, pulls: Interval, moments: Interval
+    cells_of_mesh: MeshCells, pair: Indices, outlets: Mask, holds: Interval, pulls: Interval, moments: Interval
 ) -> Interval:
     """The tractions q with forces and moments on each cell in balance, corrected along a tree, see `balance`.
 
@@ -268,7 +268,7 @@ def equilibrated(
 
 
 def along_tree(
-    cells_of_mesh: Cells, outlets: Mask, roots: Mask, pulls: Interval, load: Interval, origin: Array
+    cells_of_mesh: MeshCells, outlets: Mask, roots: Mask, pulls: Interval, load: Interval, origin: Array
 ) -> Interval:
     """The tractions with a correction along a tree that begins at outlets, or in cells of bodies that are in balance.
 
@@ -314,7 +314,7 @@ def _levels(bodies: Indices, across: Indices, outlets: Mask, held: Mask) -> Indi
     return level
 
 
-def bodies_of(cells_of_mesh: Cells) -> Indices:
+def bodies_of(cells_of_mesh: MeshCells) -> Indices:
     """The number of the body in which each cell is."""
     facets = cells_of_mesh.facets
     count, number = len(facets), int(facets.max()) + 1
@@ -330,7 +330,7 @@ def _added(pulls: Interval, place: tuple[Indices, ...], more: Interval) -> Inter
 
 
 def _in_balance(
-    cells_of_mesh: Cells,
+    cells_of_mesh: MeshCells,
     body: Mask,
     place: tuple[Indices, ...],
     holds: Interval,

@@ -25,7 +25,7 @@ from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
-from signorini_fenicsx.physics.diffusion.bound.relaxation import Springs
+from signorini_fenicsx.physics.diffusion.bound.relaxation import SpringsInCells
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, set_means
 
 LARGE = 2.0
@@ -33,7 +33,7 @@ LARGE = 2.0
 
 
 @dataclass(frozen=True)
-class Pieces:
+class LawPieces:
     """The pieces of laws in Ω near which v is to be. Arrays have one entry per owned cell.
 
     Attributes:
@@ -51,7 +51,7 @@ class Pieces:
     rigid: Mask
 
     @classmethod
-    def of(cls, inside: Inside, metric: CellMetric, comm: MPI.Comm) -> "Pieces":
+    def of(cls, inside: Inside, metric: CellMetric, comm: MPI.Comm) -> "LawPieces":
         """Choose them (collective)."""
         chains, segment, rows = inside.chains, inside.segment, np.arange(len(inside.s))
         largest = LARGE * comm.allreduce(float(np.abs(inside.s).max(initial=0.0)), MPI.MAX)
@@ -77,7 +77,7 @@ class Pieces:
         v.x.array[kept] = before
         return sums_at(v.function_space.dofmap.index_map, nodes[self.held]) > 0
 
-    def springs(self, space: fem.FunctionSpace) -> Springs | None:
+    def springs(self, space: fem.FunctionSpace) -> SpringsInCells | None:
         """What pulls v; None if nothing does (collective)."""
         inside, comm, nodes = self.inside, space.mesh.comm, cell_dofs(space)
         stiffness, loads, constant = np.zeros(len(inside.s)), np.zeros(nodes.shape), 0.0
@@ -99,7 +99,7 @@ class Pieces:
         if not comm.allreduce(bool(loads.any() or stiffness.any()), MPI.LOR):
             return None
         load = sums_at(space.dofmap.index_map, nodes, loads)
-        return Springs(function_of(inside.spaces.Q, stiffness), load, comm.allreduce(constant))
+        return SpringsInCells(function_of(inside.spaces.Q, stiffness), load, comm.allreduce(constant))
 
     def ends(self, space: fem.FunctionSpace, jumps: Jumps) -> tuple[Array, Array]:
         """Between which coefficients v should be for the sake of its pieces, infinite where it is free (collective)."""

@@ -53,7 +53,7 @@ from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux, load_left
-from signorini_fenicsx.physics.diffusion.bound.hidden import Pressure, hidden_parts
+from signorini_fenicsx.physics.diffusion.bound.hidden import PressedBound, hidden_parts
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.kirchhoff import bound_by, linear_solution
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawGap, not_polynomial
@@ -277,7 +277,7 @@ def _with_more(oscillation: Array, added: float, metric: CellMetric, comm: MPI.C
 
 def gap_on_gamma_s(
     of_v: Admissible, of_y: Admissible, goal: Goal, area: Area
-) -> tuple[Array, list[FacetLoad], Pressure | None]:
+) -> tuple[Array, list[FacetLoad], PressedBound | None]:
     """Twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
     solution, metric, resolution, on = of_y.solution, of_y.metric, of_y.resolution, of_y.on
     spaces, trace, number = solution.spaces, of_v.trace, len(metric.volume)
@@ -301,5 +301,5 @@ def gap_on_gamma_s(
     if part is not None:
         excess = law_gap.load.values[part.rows] + on.flux_at(at.points)[part.rows] - q_S
         free = ~trace.parts.is_on(part.data["psi"], facets.facets)  # elsewhere v − ψ is 0
-        pressure = Pressure(part.key("psi"), part.data["psi"], facets, free * excess.max(axis=1, initial=0.0))
+        pressure = PressedBound(part.key("psi"), part.data["psi"], facets, free * excess.max(axis=1, initial=0.0))
     return law_gap.per_cell(number), [] if goal.keeps_flux else law_gap.loads(spaces), pressure

@@ -46,7 +46,7 @@ from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, in_cells
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
-from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
+from signorini_fenicsx.physics.diffusion.bound.cell_springs import LawPieces
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside, add_load
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     ROUNDING,
@@ -60,7 +60,7 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
 from signorini_fenicsx.physics.diffusion.bound.levels import levels
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
-from signorini_fenicsx.physics.diffusion.bound.rays import Ray, Simplices
+from signorini_fenicsx.physics.diffusion.bound.rays import BoundedSimplices, Ray
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, Weight, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
@@ -116,7 +116,7 @@ def law_trace(
     fixed, at_meeting = np.union1d(known, jumps.tips), on_cuts[:, None] & np.isin(nodes, jumps.meets)
     jumps.taken(v, of_values=True)
     held, ends = on.held(at_nodes), on.ends(at_nodes)
-    pieces = Pieces.of(inside, metric, mesh.comm) if field is None and inside.parts else None
+    pieces = LawPieces.of(inside, metric, mesh.comm) if field is None and inside.parts else None
     still = largest_around(space, nodes, np.where(held[1], 1.0, 0.0)) > 0
     if pieces is not None:
         still |= pieces.hold(v, fixed)
@@ -194,7 +194,7 @@ def _hold(
 
 
 def _asked(on: OnGammaS, v: fem.Function, nodes: Indices, bounds: list[Array]) -> list[Array]:
-    """The coefficients of bounds on Γ_S as `Simplices` has them, from those of their interpolants (collective).
+    """The coefficients of bounds on Γ_S as `BoundedSimplices` has them, from those of their interpolants (collective).
 
     `v` has values in nodes, not yet coefficients. Bounds of jumps inside the domain stay as they are.
     """
@@ -207,7 +207,7 @@ def _asked(on: OnGammaS, v: fem.Function, nodes: Indices, bounds: list[Array]) -
                 continue
             touched = on.segment[rows] == (0 if sign > 0 else on.goal.chains.count[rows])
             of_v = coefficients_of(v.x.array[nodes[rows]], facet)
-            simplices = Simplices(spaces.corners[rows], spaces.cells[rows], nodes[rows], of_v, touched)
+            simplices = BoundedSimplices(spaces.corners[rows], spaces.cells[rows], nodes[rows], of_v, touched)
             bounds[end][rows], *others = simplices.asked(datum, sign, space, spaces.frame)
             changed = rows[np.any(others, axis=0)]
             bounds[end + 2][changed] = bounds[end][changed]
@@ -315,7 +315,7 @@ def _hindrance(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Sequen
     return next((words for words, is_hindered in zip(HINDRANCES, hindered, strict=True) if is_hindered), "")
 
 
-def _with_levels(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, pieces: Pieces | None) -> LawTrace:
+def _with_levels(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, pieces: LawPieces | None) -> LawTrace:
     """The trace with u_D and levels themselves instead of their interpolants (collective)."""
     mesh, linear = on.spaces.mesh, fenicsx.function_space(on.spaces.mesh, ("Lagrange", 1))
     near_dirichlet, moved = fem.Function(linear), fem.Function(linear)

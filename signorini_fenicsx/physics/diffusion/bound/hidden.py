@@ -71,7 +71,7 @@ def hidden_parts(
     trace: Trace,
     u_D: Datum,
     metric: CellMetric,
-    pressure: "Pressure | None",
+    pressure: "PressedBound | None",
     inside: Inside,
     of_discrete: float,
 ) -> Hidden:
@@ -249,7 +249,7 @@ def _on_dirichlet(spaces: Spaces, trace: Trace, cells: Indices) -> Array:
 
 
 @dataclass(frozen=True)
-class Pressure:
+class PressedBound:
     """What presses v against a bound on some facets of Γ_S.
 
     Attributes:

@@ -11,7 +11,7 @@ from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
+from signorini_fenicsx.physics.diffusion.bound.cell_springs import LawPieces
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import ROUNDING, level_of
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.rays import coefficients
@@ -19,7 +19,7 @@ from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_ar
 
 
 def levels(
-    on: OnGammaS, pieces: Pieces | None, v: fem.Function, linear: fem.FunctionSpace
+    on: OnGammaS, pieces: LawPieces | None, v: fem.Function, linear: fem.FunctionSpace
 ) -> list[tuple[Datum, fem.Function, fem.Function]]:
     """The data b that hold u or its jump and are no numbers, their I_hb, and the χ of each (collective)."""
     found, in_cells = [], () if pieces is None else _held_in_cells(pieces, v.function_space, linear)
@@ -58,7 +58,7 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
 
 
 def _held_in_cells(
-    pieces: Pieces, space: fem.FunctionSpace, linear: fem.FunctionSpace
+    pieces: LawPieces, space: fem.FunctionSpace, linear: fem.FunctionSpace
 ) -> Iterator[tuple[Datum, Array, Array]]:
     """The data b that hold u on rigid segments of laws in Ω, with I_hb and χ (collective).
 

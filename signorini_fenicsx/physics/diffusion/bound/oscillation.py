@@ -43,7 +43,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     projected,
 )
 from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms, Term
-from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Seen
+from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Rest
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -153,7 +153,7 @@ def on_facets(
     projection = projected(values - means[:, None], facet, OF_FLUX, points.points, points.weights)
     places = points.points, quadratic_nodes(facet)
     in_points, in_nodes = (means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in places)
-    seen = Seen(quadratic_of(points.vertices, in_nodes), *_moments(values - in_points, weights))
+    seen = Rest(quadratic_of(points.vertices, in_nodes), *_moments(values - in_points, weights))
     return in_points, resolution.on_facets(name, datum, seen, points, metric)
 
 
@@ -200,7 +200,7 @@ def _remembered(
 
     load, means = _projected(spaces, values, degree, of_load)
     load, others = recorded(load, means, "initial", missed), np.flatnonzero(~taken)
-    seen, factor, rest = Seen(p, norm, mean).of(others), np.full(len(others), memory.factor), np.zeros(number)
+    seen, factor, rest = Rest(p, norm, mean).of(others), np.full(len(others), memory.factor), np.zeros(number)
     rest[others] = resolution.on_cells("initial", u, seen, metric, others, factor)
     return replace(load, rest=(np.sqrt(load.rest) + rest * np.sqrt(volume)) ** 2)
 
@@ -264,6 +264,6 @@ def _load(
             of_f_h[:, 1:] += load.coefficients
             p = Polynomial(of_f_h, barycentric_gradients(resolution.vertices), of_load)
         volume = 1 / math.factorial(metric.jacobian.shape[1])
-        seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
+        seen = Rest(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
         load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume
     return load.of_degree(cell, high) if spaces.degree and of_load > OF_LOAD else load

@@ -11,13 +11,13 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.certificate import passed_on as of_pairs
-from signorini_fenicsx.certificate.passed_on import PARTS, Fields, kuhn_lattice
+from signorini_fenicsx.certificate.passed_on import PARTS, LatticeFields, kuhn_lattice
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 
 
-class Response(of_pairs.Response):
+class Response(of_pairs.LatticeResponse):
     """Fluxes of RT1 for given ones through a facet."""
 
     def weights(self, edges: Array, compliance: Array) -> Array:
@@ -47,7 +47,7 @@ def response(dim: int) -> Response:
     values, through = element.values(points)[:, :, : element.free], element.tractions[:, : element.free]
     fluxes = np.einsum("nij,qjb->nqib", cells.map, values)
     masses = np.diag(weights * cells.determinant[0])  # all cells are as large
-    return Response.of(dim, Fields(fluxes, masses, np.broadcast_to(through, (len(fluxes), *through.shape))))
+    return Response.of(dim, LatticeFields(fluxes, masses, np.broadcast_to(through, (len(fluxes), *through.shape))))
 
 
 def passed_on(spaces: LinearSpaces, metric: CellMetric, y: fem.Function) -> Array:

@@ -78,7 +78,7 @@ def _rounding(vertices: Array, at: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Simplices:
+class BoundedSimplices:
     """Owned cells or facets, as v has them.
 
     Attributes:
@@ -175,7 +175,7 @@ class Ray:
         space, rough = v.function_space, np.zeros(len(self.touched), dtype=bool)
         if self.datum.number is None and self.datum.pieces is not None:
             nodes = cell_dofs(space)[self.cells]
-            simplices = Simplices(
+            simplices = BoundedSimplices(
                 corners(space.mesh)[self.cells], self.cells, nodes, v.x.array[nodes], self.touched[self.cells]
             )
             asked, rough[self.cells], _ = simplices.asked(self.datum, self.sign, space, frame)

@@ -93,7 +93,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Springs:
+class SpringsInCells:
     """Half of ∫β(v − t)² in Ω as a part of the gap.
 
     Attributes:
@@ -116,7 +116,7 @@ def relax(
     fixed: Indices,
     box: Box,
     robin: Robin | None,
-    springs: Springs | None,
+    springs: SpringsInCells | None,
     jumps: Jumps,
     *,
     by_nodes: bool,
@@ -168,7 +168,7 @@ def relax(
 
 
 def _matrix(
-    space: fem.FunctionSpace, kappa: Weight, robin: Robin | None, springs: Springs | None, jumps: Jumps
+    space: fem.FunctionSpace, kappa: Weight, robin: Robin | None, springs: SpringsInCells | None, jumps: Jumps
 ) -> PETSc.Mat:
     """The matrix of the gap, in the jumps if there are any (collective)."""
     trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
@@ -184,7 +184,7 @@ def _matrix(
 
 
 def _form(
-    u: Expr, v: Expr, kappa: Weight, robin: Robin | None, springs: Springs | None, part: str = "full"
+    u: Expr, v: Expr, kappa: Weight, robin: Robin | None, springs: SpringsInCells | None, part: str = "full"
 ) -> fem.Form:
     """(κ_h∇u, ∇v) + ⟨βu, v⟩ on Γ_S and in Ω, or the diagonal of its matrix (collective)."""
     form, maps = stiffness(u, v, kappa[1], kappa[0]), []
@@ -223,7 +223,7 @@ class _Gap:
         excess: Array,
         faced: Array,
         robin: Robin | None,
-        springs: Springs | None,
+        springs: SpringsInCells | None,
         jumps: Jumps,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)

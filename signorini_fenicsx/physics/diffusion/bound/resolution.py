@@ -50,7 +50,7 @@ SMALLEST = 1e-100
 
 
 @dataclass(frozen=True)
-class Seen:
+class Rest:
     """What quadrature shows of d = e − p on some cells or facets.
 
     Attributes:
@@ -63,9 +63,9 @@ class Seen:
     norm: Array
     mean: Array
 
-    def of(self, rows: AnyIndices | Mask) -> "Seen":
+    def of(self, rows: AnyIndices | Mask) -> "Rest":
         """A selection of the simplices."""
-        return Seen(self.p.of(rows), self.norm[rows], self.mean[rows])
+        return Rest(self.p.of(rows), self.norm[rows], self.mean[rows])
 
 
 @dataclass
@@ -127,7 +127,7 @@ class Resolution:
         )
 
     def on_cells(
-        self, name: str, datum: Datum, seen: Seen, metric: CellMetric, cells: AnyIndices, factor: Array | float = 1.0
+        self, name: str, datum: Datum, seen: Rest, metric: CellMetric, cells: AnyIndices, factor: Array | float = 1.0
     ) -> Array:
         """Root mean square of a load minus p on some owned cells; its mean is recorded (collective).
 
@@ -152,7 +152,7 @@ class Resolution:
         self._record(name, cells, Interval(*mean) * factor, beyond, metric)
         return np.asarray(size * norm, dtype=np.float64)
 
-    def on_facets(self, name: str, datum: Datum, seen: Seen, points: FacetPoints, metric: CellMetric) -> Array:
+    def on_facets(self, name: str, datum: Datum, seen: Rest, points: FacetPoints, metric: CellMetric) -> Array:
         """L² norm of a flux minus p per facet; its mean is recorded (collective).
 
         Args:
@@ -185,9 +185,9 @@ class Resolution:
             rest = rest - p.of(rows).at(points.arms)[:, :, 0]
             norm[rows], mean[rows] = np.sqrt(rest**2 @ weights), rest @ weights
         weight = self.spaces.cell_measures[cells] / self.volume / np.maximum(tolerance, SMALLEST) ** 2
-        return self._enclosed(tree, self.vertices[cells], Seen(p, norm, mean), weight)
+        return self._enclosed(tree, self.vertices[cells], Rest(p, norm, mean), weight)
 
-    def _enclosed(self, tree: Tree, vertices: Array, seen: Seen, weight: Array) -> tuple[Array, Array]:
+    def _enclosed(self, tree: Tree, vertices: Array, seen: Rest, weight: Array) -> tuple[Array, Array]:
         """Root mean square and the ends of the mean of a tree minus p, with the weights of `means` (collective)."""
         if not self.returns:
             return self._newly_enclosed(tree, vertices, seen, weight)

@@ -41,7 +41,7 @@ from signorini_fenicsx.physics.diffusion.discrete.coefficients import (
 )
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells, Quasilinear, depends_on_u, quasilinear_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, Water
+from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, WaterBefore
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
 
@@ -211,11 +211,11 @@ class Data:
         """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
         return spaces.has_dirichlet or self.c_h is not None
 
-    def after(self, memory: fem.Function | Water | None) -> Data:
+    def after(self, memory: fem.Function | WaterBefore | None) -> Data:
         """The data of a step of a problem in time, with what it takes from those before; None for nothing."""
         if memory is None:
             return self
-        if isinstance(memory, Water):
+        if isinstance(memory, WaterBefore):
             of_u, before = self.quasilinear, owned_values(memory.content)
             assert of_u is not None
             storing = Storing(of_u.spaces, of_u.content, memory.rate, owned_values(self.f_h), before, memory.traces)

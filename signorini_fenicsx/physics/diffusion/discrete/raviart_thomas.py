@@ -14,7 +14,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.linear_traces import Simplices, facet_normals, null_space
+from signorini_fenicsx.discrete.linear_traces import SomeCells, facet_normals, null_space
 
 
 @dataclass(frozen=True)
@@ -124,8 +124,8 @@ def order_number(order: Indices) -> Indices:
 
 
 @dataclass(frozen=True)
-class Cells(Simplices):
-    """Some cells by their vertices, see `Simplices`."""
+class Cells(SomeCells):
+    """Some cells by their vertices, see `SomeCells`."""
 
     @cached_property
     def map(self) -> Array:

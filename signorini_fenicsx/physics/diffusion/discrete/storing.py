@@ -24,7 +24,7 @@ CLOSE = 4e-16
 
 
 @dataclass(frozen=True)
-class Water:
+class WaterBefore:
     """What a step with soils takes from those before.
 
     Attributes:

@@ -255,7 +255,7 @@ class Fluxes(_Beside):
         return math.sqrt(self.kappa * self.comm.allreduce(self.spaces.cell_measures.sum())) / self.spaces.length
 
 
-class Integrals(beside.Integrals[Admissible], _Beside):
+class Integrals(beside.IntegralsBeside[Admissible], _Beside):
     """The integral of u with a weight, or its mean."""
 
     def __init__(self, solution: Solution, kind: Integral):

@@ -17,7 +17,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.contact.laws import River, Seepage, Signorini
 from signorini_fenicsx.discrete.data_values import extent
-from signorini_fenicsx.discrete.sections import Places
+from signorini_fenicsx.discrete.sections import Spots
 from signorini_fenicsx.physics.diffusion.soils import FORMS
 
 if TYPE_CHECKING:  # it has these
@@ -114,6 +114,6 @@ def at_points(solution: Solution, points: Array, u: Array, sigma: Array) -> dict
     found = {"pressure": water.pressure(points, u, sigma)}
     if of_u is None or not of_u.has_soils:
         return found
-    places = Places.of(solution.spaces.domain, points)
+    places = Spots.of(solution.spaces.domain, points)
     of_pairs = of_u.saturation(places.points[places.rows], u[places.rows], places.cells)
     return found | {"saturation": places.means(of_pairs)[:, 0]}

@@ -24,7 +24,7 @@ from signorini_fenicsx.pictures.evolution import (
     fronts_of,
     shown,
 )
-from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel
+from signorini_fenicsx.pictures.panels import DrawnSteps, File, Overlay, Panel, Pictures, Where, error_panel
 from signorini_fenicsx.pictures.plane import levels_between
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.streams import of_means, streamlines
@@ -182,7 +182,7 @@ def kept(solution: Any, steps: int) -> Mapping[str, Sequence[int]]:
     return {"u": shown(steps)} | ({"own": chosen_for_fronts(steps)} if columns_of_cells(solution) else {})
 
 
-def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
+def in_time(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
     """Draw `contact.png`, and in the plane `fronts.png` of laws in Ω and `animation.gif`."""
     titles = columns_of_cells(scene.solution)
     in_cells = {name: ([row[key] for row in steps.rows], None) for key, name in titles.items() if key in steps.rows[-1]}

@@ -27,7 +27,7 @@ FEW = 3
 
 
 @dataclass(frozen=True)
-class Seepage:
+class DamSeepage:
     """The seepage through a dam.
 
     Attributes:
@@ -52,7 +52,7 @@ class Seepage:
         return {name: value for name, value in vars(self).items() if isinstance(value, float)}
 
 
-def seepage(solution: Solution) -> Seepage | None:
+def seepage(solution: Solution) -> DamSeepage | None:
     """The seepage of a solution of a case with [dam], None for other solutions; the same on all ranks (collective)."""
     dam: Dam | None = getattr(solution.source, "dam", None)
     if dam is None:
@@ -60,7 +60,7 @@ def seepage(solution: Solution) -> Seepage | None:
     height, outflow, is_open = _downstream(solution).T
     top, foot = np.flatnonzero(is_open)[-FEW:], slice(None, FEW)
     separation = float(np.polyfit(outflow[top], height[top], 1)[1]) if len(top) == FEW else float("nan")
-    return Seepage(
+    return DamSeepage(
         discharge=(dam.H**2 - dam.h**2) / (2 * dam.L),
         outflow=float(np.polyfit(height[foot], outflow[foot], 1)[1]) if len(height) >= FEW else float("nan"),
         separation_height=separation,

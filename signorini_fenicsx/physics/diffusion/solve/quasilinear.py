@@ -55,7 +55,7 @@ ROUGH = 1e-3
 
 
 @dataclass(frozen=True)
-class Change:
+class KappaChange:
     """How κ changed with a solution.
 
     Attributes:
@@ -82,7 +82,7 @@ class QuasiLinear:
 
     backend: Any
     loop: Loop
-    changes: list[Change]
+    changes: list[KappaChange]
     near: Array | None = None
     _tried: list[tuple[Array, Array]] = field(default_factory=list)
     _solves: int = 0
@@ -161,7 +161,7 @@ class QuasiLinear:
         content, stored = 0.0, backend.data.stored
         if stored is not None:
             content = of_u.storing.change(owned_values(outcome.iterate.u) + of_u.constant, *stored)
-        self.changes.append(Change(largest, energy, content))
+        self.changes.append(KappaChange(largest, energy, content))
         with np.errstate(all="ignore"):
             self._tried = [*self._tried, (np.log(kappa), np.log(following))][-DEPTH - 1 :]
         return outcome

@@ -20,7 +20,7 @@ from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.solve.hybrid import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
-from signorini_fenicsx.physics.diffusion.solve.quasilinear import Change, QuasiLinear
+from signorini_fenicsx.physics.diffusion.solve.quasilinear import KappaChange, QuasiLinear
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, kkt_residuals
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_sites
 
@@ -44,7 +44,7 @@ class DiffusionTask(Task):
     alone: Callable[[str], Callable[..., Outcome]]
     start: Segments | None = None
     last: list[Data] = field(default_factory=list)
-    changes: list[Change] = field(default_factory=list)
+    changes: list[KappaChange] = field(default_factory=list)
     failed: list[Outcome] = field(default_factory=list)
 
     @property

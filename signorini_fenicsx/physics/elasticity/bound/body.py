@@ -47,7 +47,7 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells,
 from signorini_fenicsx.physics.elasticity.discrete.material import regular
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
-from signorini_fenicsx.physics.elasticity.solve.rigid_motions import Bodies
+from signorini_fenicsx.physics.elasticity.solve.rigid_motions import RigidBodies
 
 ON_FACETS = 1 / 8
 """l is this share of |Ω|^(1/d)."""
@@ -67,7 +67,7 @@ def why_no_constant(spaces: ElasticSpaces) -> str:
     no_facets = spaces.boundary_facets(np.empty(0, dtype=np.int32))
     empty = np.empty((0, spaces.dim**2, spaces.dim**2))
     none = Supports(no_facets, np.empty((0, spaces.dim, spaces.dim)), empty, np.zeros(len(spaces.rough.facets)))
-    if Bodies.of(spaces, ()).not_given(none).shape[1] > 0:
+    if RigidBodies.of(spaces, ()).not_given(none).shape[1] > 0:
         return "as what is given of u does not hold each body"
     return "as the mesh is large" if unknowns > MOST[spaces.dim] else ""
 

@@ -6,13 +6,13 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate import passed_on as of_pairs
-from signorini_fenicsx.certificate.passed_on import PARTS, Fields, kuhn_lattice
+from signorini_fenicsx.certificate.passed_on import PARTS, LatticeFields, kuhn_lattice
 from signorini_fenicsx.physics.elasticity.bound.korn import trace_constants
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, reference
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 
-class Response(of_pairs.Response):
+class Response(of_pairs.LatticeResponse):
     """Stresses of Johnson and Mercier for tractions."""
 
     def weights(self, edges: Array, compliance: Array) -> Array:
@@ -37,7 +37,7 @@ def response(dim: int) -> Response:
     hats, free = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2)), slice(None, element.free)
     masses = np.kron(np.eye(dim + 1), hats * cells.measure[0] / (dim + 1))  # all cells are as large
     through = cells.tractions(element.tractions)[:, :, free]
-    return Response.of(dim, Fields(cells.stresses(element.stresses[:, :, free]), masses, through))
+    return Response.of(dim, LatticeFields(cells.stresses(element.stresses[:, :, free]), masses, through))
 
 
 def passed_on(spaces: ElasticSpaces, stresses: Array, compliance: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.linear_traces import Simplices, facet_normals, null_space, opposite
+from signorini_fenicsx.discrete.linear_traces import SomeCells, facet_normals, null_space, opposite
 from signorini_fenicsx.forms.elasticity import pairs as entries
 
 
@@ -153,8 +153,8 @@ class SplitQuadrature:
 
 
 @dataclass(frozen=True)
-class Cells(Simplices):
-    """Some cells by their vertices, see `Simplices`."""
+class Cells(SomeCells):
+    """Some cells by their vertices, see `SomeCells`."""
 
     @property
     def hat_gradients(self) -> Array:

@@ -22,7 +22,7 @@ from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import entries, symmetric, to_entries
-from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, Plane
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, PlaneState
 
 SPACE = entries(3)
 BEYOND = SPACE.index((2, 2))
@@ -115,7 +115,7 @@ class Material:
     @property
     def in_strain(self) -> bool:
         """Whether the material is in plane strain."""
-        return self.dim == 2 and self.plane == Plane.STRAIN
+        return self.dim == 2 and self.plane == PlaneState.STRAIN
 
     @property
     def degree(self) -> int | None:
@@ -304,7 +304,7 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
             if the material has axes and is isotropic.
     """
     dim = spaces.mesh.geometry.dim
-    if dim == 3 and problem.plane != Plane.STRAIN:
+    if dim == 3 and problem.plane != PlaneState.STRAIN:
         raise InputError(f"[problem] plane: a body in space is not in plane {problem.plane}; leave it out")
     young = _along_axes(spaces, "young", problem.young)
     if len(young) > 1 and problem.shear is None:

@@ -8,7 +8,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.elasticity.discrete.material import SPACE, Material, read_datum, strains_of
-from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, Plane
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, PlaneState
 
 
 class Viscous(Material):
@@ -30,7 +30,7 @@ class Viscous(Material):
             InputError: If it cannot be read, or a region has no value.
         """
         young, own = (read_datum(spaces, "viscosity", problem.viscosity),), strains_of(spaces, problem)
-        return cls(spaces.mesh.geometry.dim, Plane.STRAIN, young, poisson=(), shear=(), axes=(), own=own)
+        return cls(spaces.mesh.geometry.dim, PlaneState.STRAIN, young, poisson=(), shear=(), axes=(), own=own)
 
     def compliance(self, points: CellPoints) -> Array:
         """𝔸 in points, shape (cells, points, entries, entries) (collective)."""

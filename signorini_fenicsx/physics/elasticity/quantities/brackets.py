@@ -272,7 +272,7 @@ class Fluxes(_Beside):
         return float(total[2] if dim == 2 else total[3:] @ direction_of(self.kind.direction, dim))
 
 
-class Integrals(beside.Integrals[_Side], _Beside):
+class Integrals(beside.IntegralsBeside[_Side], _Beside):
     """The integral of a component of the displacement with a weight, or its mean."""
 
     def discrete(self) -> float:

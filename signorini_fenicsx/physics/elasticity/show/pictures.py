@@ -17,7 +17,7 @@ from signorini_fenicsx.physics.elasticity.show.shown import BodyFacets
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.evolution import draw_over_time
 from signorini_fenicsx.pictures.geometry import arrows
-from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel, on_gamma
+from signorini_fenicsx.pictures.panels import DrawnSteps, File, Overlay, Panel, Pictures, Where, error_panel, on_gamma
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
 
@@ -270,7 +270,7 @@ def _rounded(value: float) -> float:
     return float(max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-12)) * power)
 
 
-def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
+def in_time(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
     """Draw `forces.png`, where there is Γ_C `contact.png`, and where there are pairs `pairs.png`."""
     _forces(scene, steps.rows).save(folder / "forces.png")
     shown = [each for each in _on_gamma(scene) if each.where is Where.GAMMA and each.what != "gap"]

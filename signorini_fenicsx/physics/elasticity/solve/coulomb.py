@@ -42,7 +42,7 @@ MOST_CHANGES = 20
 """Changes of states at most, for each site."""
 
 
-class State(IntEnum):
+class PathState(IntEnum):
     """The state of a site: of a normal one `OPEN` or `PRESSED`, of a tangential one the others."""
 
     OPEN = 0
@@ -57,19 +57,19 @@ class State(IntEnum):
 
 
 NEXT = {
-    State.OPEN: (State.PRESSED,),
-    State.PRESSED: (State.OPEN,),
-    State.FREE: (None,),
-    State.STICK: (State.MINUS, State.PLUS),
-    State.PLUS: (State.STICK, State.FREE),
-    State.MINUS: (State.STICK, State.FREE),
+    PathState.OPEN: (PathState.PRESSED,),
+    PathState.PRESSED: (PathState.OPEN,),
+    PathState.FREE: (None,),
+    PathState.STICK: (PathState.MINUS, PathState.PLUS),
+    PathState.PLUS: (PathState.STICK, PathState.FREE),
+    PathState.MINUS: (PathState.STICK, PathState.FREE),
 }
-"""Which state follows when each of the margins of a state, see `Sites._margins`, has become 0; `FREE` ends in the
+"""Which state follows when each of the margins of a state, see `PathSites._margins`, has become 0; `FREE` ends in the
 direction in which the site moves."""
 
 
 @dataclass(frozen=True)
-class Sites:
+class PathSites:
     """The sites of all ranks: the flux at them is `stiffness @ p + force`, for any p at them.
 
     Attributes:
@@ -117,7 +117,7 @@ class Sites:
                 length[last] = np.inf
             site, which = divmod(int(np.argmin(length)), length.shape[1])
             if sign < 0 and z <= length[site, which]:
-                return state, p, np.where((state == State.OPEN) | (state == State.FREE), 0.0, flux)
+                return state, p, np.where((state == PathState.OPEN) | (state == PathState.FREE), 0.0, flux)
             if not np.isfinite(length[site, which]):
                 return None
             z += sign * float(length[site, which])
@@ -130,8 +130,8 @@ class Sites:
         Raises:
             numpy.linalg.LinAlgError: If there is not one solution.
         """
-        signs = np.where(state == State.PLUS, 1.0, np.where(state == State.MINUS, -1.0, 0.0))
-        free = np.flatnonzero((state != State.PRESSED) & (state != State.STICK))
+        signs = np.where(state == PathState.PLUS, 1.0, np.where(state == PathState.MINUS, -1.0, 0.0))
+        free = np.flatnonzero((state != PathState.PRESSED) & (state != PathState.STICK))
         rubbing = (signs * self.mu)[free]
         matrix = self.stiffness[free] + rubbing[:, None] * self.stiffness[self.normal[free]]
         right = np.column_stack(
@@ -155,12 +155,12 @@ class Sites:
         """
         bound = self.mu * flux[self.normal] - z * shift + constant * self.given
         first = np.select(
-            [state == each for each in State],
+            [state == each for each in PathState],
             [p, flux, -bound, bound - flux, p, -p],
         )
         limited = self.mu > 0
         second = np.select(
-            [state == State.STICK, limited & ((state == State.PLUS) | (state == State.MINUS))],
+            [state == PathState.STICK, limited & ((state == PathState.PLUS) | (state == PathState.MINUS))],
             [bound + flux, bound],
             np.inf if constant else 0.0,
         )
@@ -168,14 +168,14 @@ class Sites:
 
     def _change(self, state: Indices, site: int, which: int, p: Array) -> tuple[int, int]:
         """Change the state of a site whose margin has become 0; returns which margin of the new state is 0."""
-        before = State(state[site])
+        before = PathState(state[site])
         following = NEXT[before][which]
         if following is None:
-            following = State.PLUS if p[site] > 0 else State.MINUS
+            following = PathState.PLUS if p[site] > 0 else PathState.MINUS
         state[site] = following
-        if before == State.FREE:
+        if before == PathState.FREE:
             return site, 1
-        return site, 1 if (before, following) == (State.PLUS, State.STICK) else 0
+        return site, 1 if (before, following) == (PathState.PLUS, PathState.STICK) else 0
 
 
 CHANGE = 1e-9
@@ -259,9 +259,9 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
     normal, slip = spaces.site_kinds
     coulomb = np.repeat(friction.coulomb, 2)
     segments = backend.friction.chains.segments(slip.of(outcome.conditions))
-    slips = np.array([State.MINUS, State.STICK, State.PLUS])[segments]
+    slips = np.array([PathState.MINUS, PathState.STICK, PathState.PLUS])[segments]
     touches = normal.of(outcome.conditions.kind) == Condition.ZERO_TRACE
-    state = np.append(np.where(touches, State.PRESSED, State.OPEN), np.where(coulomb, State.FREE, slips))
+    state = np.append(np.where(touches, PathState.PRESSED, PathState.OPEN), np.where(coulomb, PathState.FREE, slips))
     first = comm.exscan(backend.sites) or 0
     zeros = np.zeros(len(normal))
     of_rank = (
@@ -277,7 +277,7 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
 
     def along_path() -> tuple[Indices, Array, Array] | None:
         *parts, state, flux = (np.concatenate(each) for each in zip(*of_ranks or [], strict=True))
-        return Sites(*parts).follow(state, flux)
+        return PathSites(*parts).follow(state, flux)
 
     end = on_root(comm, along_path)  # whose turns are decisions, which one rank makes for all
     if end is None:
@@ -285,8 +285,8 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
     own_sites = slice(first, first + backend.sites)
     state, p, flux = end[0][own_sites], end[1][own_sites], end[2][own_sites]
     backend.friction = friction.following(backend.spaces.pressure_of(flux))
-    segments = np.select([state == State.OPEN, state == State.STICK, state == State.PLUS], [1, 1, 2], 0)
-    slip.of(segments)[slip.of((state == State.FREE) & (p > 0))] = 2
+    segments = np.select([state == PathState.OPEN, state == PathState.STICK, state == PathState.PLUS], [1, 1, 2], 0)
+    slip.of(segments)[slip.of((state == PathState.FREE) & (p > 0))] = 2
     outcome = tresca(segments)
     changes.append(backend.friction.change(backend.friction.following(pressure(backend, outcome.iterate)), spaces))
     if changes[-1] > CHANGE:

@@ -104,7 +104,7 @@ def _motions_of_contact(
     spaces: ElasticSpaces, data: ElasticData, *, any_pressure: bool = False
 ) -> tuple[Array, Unprevented | None]:
     """What `check_rigid_motions` returns, and a motion that is not prevented, see `Limits.unprevented` (collective)."""
-    bodies = Bodies.of(spaces, data.tools)
+    bodies = RigidBodies.of(spaces, data.tools)
     free = bodies.not_given(data.supports)
     if free.shape[1] == 0:
         return np.zeros((len(spaces.site_kinds), 0)), None
@@ -178,7 +178,7 @@ def _motions(x: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Bodies:
+class RigidBodies:
     """The rigid motions of all bodies: for each body the translations, then the rotations about the middle.
 
     Attributes:

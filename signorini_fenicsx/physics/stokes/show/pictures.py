@@ -9,7 +9,7 @@ import numpy as np
 from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.evolution import draw_over_time
-from signorini_fenicsx.pictures.panels import File, Panel, Pictures, Steps, Where, error_panel, on_gamma
+from signorini_fenicsx.pictures.panels import DrawnSteps, File, Panel, Pictures, Where, error_panel, on_gamma
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.streams import streamlines
 
@@ -48,7 +48,7 @@ def _along(scene: Scene) -> list[Panel]:
     return along
 
 
-def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
+def in_time(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
     """Draw `steps.png`: u_n and σ_nn on parts with laws, and what flows out through each part, over time."""
     flows = {part: ([row[f"{part}_flow"] for row in steps.rows], None) for part in scene.solution.spaces.domain.parts}
     speed = {"speed": ([row["speed"] for row in steps.rows], "C0")}

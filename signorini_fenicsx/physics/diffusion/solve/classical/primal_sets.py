@@ -32,7 +32,7 @@ class VertexPairs(Pairs):
     u: Array
 
 
-class VertexBackend(PlainBackend):
+class ConformingBackend(PlainBackend):
     """A `Backend` for conforming P1, whose sites are the vertices of Γ_S that are not on Γ_D.
 
     Attributes:
@@ -126,7 +126,7 @@ def primal_penalty(task: DiffusionTask) -> Outcome:
 
 def _on_vertices(task: DiffusionTask, rule: SetRule) -> Outcome:
     """Run the loop and judge its result by the natural residual of (VI) or, with a penalty, of (P_ε) (collective)."""
-    backend = VertexBackend(task, rule.contact)
+    backend = ConformingBackend(task, rule.contact)
     parameters = Parameters(eps=task.eps, max_iterations=task.max_iterations)
     outcome = iterate_sets(backend, rule, parameters, on_step=task.on_step)
     residual = backend.system.residual(backend.u, 0.0 if rule.penalty is None else task.eps)
