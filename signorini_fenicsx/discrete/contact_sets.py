@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import cell_nodes, function_of
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_of
 from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, curve_gap, of_unit_size, sampled
@@ -64,13 +64,14 @@ class Segments:
         segment: Number of its segment for each site of `spaces.site_kinds`; without laws in Ω none of cells.
         carried: What else the vertices of facets hand on, by name, shape (facets, d, …): with friction the "bound" of
             the shear and, where it is known, the "slip", u_t in space of those that slip.
-        u: The u of a solution that tells more than its segments, as where κ depends on u; None for none.
+        u: The u of a solution at the vertices of the owned cells, shape (cells, d + 1), where it tells more than the
+            segments, as where κ depends on u; None for none.
     """
 
     spaces: MeshSpaces
     segment: Indices
     carried: Mapping[str, Array] = field(default_factory=dict)
-    u: fem.Function | None = None
+    u: Array | None = None
 
     def of(self, name: str) -> Indices:
         """Those of one kind of sites."""
@@ -88,13 +89,18 @@ class Segments:
         carried = dict(zip(self.carried, found[len(rows) :], strict=True))
         return Segments(spaces, segment, carried, self.u_on(spaces))
 
-    def u_on(self, spaces: Any) -> fem.Function | None:
-        """The u in P0 on another mesh of the domain, or on this one as it is (collective)."""
-        if self.u is None or spaces is self.spaces:
+    def u_on(self, spaces: Any) -> Array | None:
+        """The u on another mesh of the domain, or on this one as it is (collective)."""
+        if self.u is None or spaces.mesh is self.spaces.mesh:
             return self.u
-        (sample,) = sampled([self.u], spaces.mesh, self.spaces.domain, degree=0)
-        of_cells = sample.x.array[sample.function_space.dofmap.list[: len(spaces.cell_measures), 0]]
-        return function_of(spaces.Q, of_cells, "u")
+        u = fem.Function(fenicsx.function_space(self.spaces.mesh, ("DG", 1)), name="u")
+        u.x.array[cell_dofs(u.function_space)] = self.u
+        u.x.scatter_forward()
+        (sample,) = sampled([u], spaces.mesh, self.spaces.domain)
+        values = sample.x.array[sample.function_space.dofmap.list[: len(spaces.cell_measures)]]
+        points = basix.make_quadrature(spaces.mesh.basix_cell(), QUADRATURE_DEGREE)[0]  # as many as vertices
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        return np.asarray(values @ np.linalg.inv(hats).T)
 
     def _in_cells(self, spaces: Any) -> Indices:
         """The segment of each cell of another mesh: at its centroid, or near each of its vertices (collective).

@@ -311,7 +311,7 @@ class Solution(AnySolution):
 
     def segments(self) -> Segments:
         """The segment of its law that each Γ_S facet is on, and each cell if there are laws in Ω."""
-        iterate, u = self.outcome.iterate, self.u if self.data.quasilinear else None
+        iterate, u = self.outcome.iterate, self.u_vertices if self.data.quasilinear else None
         return Segments(self.spaces, self.law.segments(self.outcome.conditions, (iterate.p, iterate.flux)), u=u)
 
     @collector_off()

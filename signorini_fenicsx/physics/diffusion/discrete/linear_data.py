@@ -89,15 +89,12 @@ class LinearData(Data):
             weight = hats_in(spaces, numbers, points) / self.kappa.values(points).T[:, :, None] ** 2
             basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
             of_sigma = cells.coefficients(sigma[numbers])
-            for vertex in range(spaces.dim + 1):
-                matrices = weight[:, :, vertex].T[:, :, None, None] * np.eye(spaces.dim)
-                products = cells.product_in_points(matrices, basis, points.weights)
-                found[numbers, :, vertex] = np.einsum("nbc,nc->nb", products, of_sigma)
+            values = np.einsum("nij,nqjb,nb->nqi", cells.map, basis, of_sigma, optimize=True)
             if self.b is not None and not self.b.by_kappa:
-                values = self.b.at(points, self.kappa)
-                found[numbers] -= np.einsum(
-                    "q,qnv,nqi,nij,nqjb->nbv", points.weights, weight, values, cells.derivative, basis, optimize=True
-                )
+                values = values - self.b.at(points, self.kappa)
+            found[numbers] = np.einsum(
+                "q,qnv,nqi,nij,nqjb->nbv", points.weights, weight, values, cells.derivative, basis, optimize=True
+            )
         return found
 
     def reactions(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:

@@ -15,7 +15,6 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of
 from signorini_fenicsx.discrete.linear_traces import opposite
@@ -94,13 +93,17 @@ class Quasilinear:
     @cached_property
     def _places(self) -> tuple[Array, Array]:
         """The points of each cell where û is looked at, shape (cells, n, dim), and their shares in κ."""
-        spaces = self.spaces
+        spaces, hats = self.spaces, self._hats
         if isinstance(spaces, LinearSpaces):
-            vertex = opposite(spaces.dim).ravel()
-            return spaces.vertices[:, vertex], (vertex == np.arange(spaces.dim + 1)[:, None]) / spaces.dim
-        x = corners(spaces.mesh)
-        count = x.shape[1]
-        return (x.sum(axis=1, keepdims=True) - x) / (count - 1), np.full((1, count), 1 / count)
+            return hats @ spaces.vertices, hats.T / spaces.dim
+        return hats @ corners(spaces.mesh), np.full((1, len(hats)), 1 / len(hats))
+
+    @property
+    def _hats(self) -> Array:
+        """The barycentric coordinates of these points."""
+        dim = self.spaces.mesh.topology.dim
+        vertices = np.eye(dim + 1)
+        return vertices[opposite(dim).ravel()] if self.spaces.degree else (1 - vertices) / dim
 
     def of_traces(self, traces: Array) -> tuple[Array, Array]:
         """κ of each cell and its derivatives by û, shapes (cells, values) and (cells, values, n).
@@ -124,13 +127,11 @@ class Quasilinear:
                 derivative[inside] = (of_points[0] - of_points[1]) @ shares[0] / (2 * step)
                 yield constant, derivative
 
-    def of_means(self, u: Array) -> Array:
-        """κ of each cell for a u with these means over the owned cells (collective)."""
-        space = self.spaces.crouzeix_raviart
-        dofs, numbers = cell_dofs(space), space.dofmap.index_map
-        on_facets = (sums_at(numbers, dofs, u[:, None]) / sums_at(numbers, dofs))[dofs]
-        count = self._places[0].shape[1] // on_facets.shape[1]
-        return self.of_traces(np.repeat(on_facets, count, axis=1) - self.constant)[0]
+    def traces_of(self, u: Array) -> Array:
+        """Where û is looked at, a u that is linear on the owned cells, by its values at vertices, less the constant."""
+        if isinstance(self.spaces, LinearSpaces):
+            u = np.take_along_axis(u, self.spaces.order, axis=1)
+        return np.asarray(u @ self._hats.T - self.constant)
 
     def content(self, u: Array) -> tuple[Array, Array]:
         """The water in a unit volume of soil and its derivative, with these u on the owned cells; 0 elsewhere."""

@@ -150,18 +150,14 @@ class FluxSystem(HybridSystem):
     def by_kappa(self, x: PETSc.Vec) -> Array:
         """The derivatives of ⟨σ·n, q⟩ on the facets of each cell by κ at its vertices, shape (cells, n, d + 1).
 
-        Collective. q has a value 1 at a vertex of a facet. They are what (κ⁻²σ φ_v, τ) on the right gives.
+        Collective. q has a value 1 at a vertex of a facet. They are what (κ⁻²σ φ_v, τ) on the right gives: as the cells
+        are symmetric, its product with the σ of q.
         """
-        spaces, data, count = self.spaces, self._data, self.spaces.dim + 1
         sigma, _ = self.recover(self.with_lift(x))
-        functionals = data.by_kappa(spaces, sigma)
-        none = np.zeros((len(sigma), count))
-        found = np.zeros((len(sigma), count * spaces.dim, count))
-        for block in self.eliminated(np.zeros(functionals.shape[:2]), none):
-            found[block.cells] = block.load[:, :, None]  # of laws in Ω
-        for vertex in range(count):
-            for block in self.eliminated(functionals[:, :, vertex], none):
-                found[block.cells, :, vertex] -= block.load
+        functionals = self._data.by_kappa(self.spaces, sigma)
+        found = np.zeros((len(sigma), (self.spaces.dim + 1) * self.spaces.dim, functionals.shape[2]))
+        for block in self._blocks:
+            found[block.cells] = block.flux.transpose(0, 2, 1) @ functionals[block.cells, : block.flux.shape[1]]
         return found
 
     def of_cells(self, matrices: Array) -> PETSc.Mat:

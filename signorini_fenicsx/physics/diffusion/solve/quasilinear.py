@@ -77,7 +77,7 @@ class QuasiLinear:
         backend: Solves with its κ; with its `tangent` it makes Newton's steps.
         loop: The loop over the sets.
         changes: Gets how κ changed with the solution of each problem under a fixed κ.
-        near: The means over the owned cells of a u to begin with; None for saturated soil.
+        near: A u to begin with, at the vertices of the owned cells; None for saturated soil.
     """
 
     backend: Any
@@ -115,7 +115,7 @@ class QuasiLinear:
             return [self._newton(), self._again(traces)]
         ways = [self._under(of_u.first), self._anderson(), self._newton(), self._anderson(), self._newton()]
         ways += [self._by_powers(), self._under(of_u.at_rest), self._newton()]
-        return ways if self.near is None else [self._under(of_u.of_means(self.near)), self._newton(), *ways]
+        return ways if self.near is None else [self._again(of_u.traces_of(self.near)), self._newton(), *ways]
 
     def _told(self, outcome: Outcome) -> Outcome:
         """The outcome with what there is to tell of κ (collective)."""

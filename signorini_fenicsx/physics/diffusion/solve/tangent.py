@@ -79,7 +79,7 @@ class Tangent:
             solver: Its linear solver, whose preconditioner is that of the matrix under the present conditions.
         """
         self._backend: Tangible = backend
-        self._least, self._unit = np.inf, np.empty(0)
+        self._least, self._unit, self._last = np.inf, np.empty(0), np.empty(0)
         self._iterates, self._preconditioner = solver.iterates, solver.preconditioner
 
     def step(self, conditions: SiteConditions) -> None:
@@ -129,11 +129,14 @@ class Tangent:
 
     def _take_kappa(self) -> bool:
         """Let κ be that of the present x; whether it is positive (collective)."""
-        backend = self._backend
+        backend, x = self._backend, self._backend.x.array_r.copy()
+        if backend.comm.allreduce(np.array_equal(x, self._last), MPI.LAND):
+            return True
         try:
             backend.take_kappa(backend.data.at_traces(backend.spaces, backend.system.on_cells(backend.x)))
         except InputError:
             return False
+        self._last = x
         return True
 
     def _parts(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array, Array]:

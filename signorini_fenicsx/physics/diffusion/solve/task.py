@@ -14,7 +14,6 @@ from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Loop, Task
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
@@ -60,7 +59,7 @@ class DiffusionTask(Task):
             return self.failed[-1]
         self.changes.clear()
         u = None if self.start is None else self.start.u_on(self.spaces)
-        outcome = QuasiLinear(backend, loop, self.changes, None if u is None else means_in_cells(u)).solved()
+        outcome = QuasiLinear(backend, loop, self.changes, u).solved()
         self.last[:] = [backend.data]
         if self.data.stored is not None and not outcome.converged:
             self.failed.append(outcome)
