@@ -240,6 +240,8 @@ class Film(LawWithMemory):
     on the film when the metal below is at 0. A step is one of implicit Euler, u = r q (h + τk (q − j)₊) with the h
     before: a line up to q = j, vertical on bare metal, then a parabola.
 
+    Usage: `Film("body", r=1e6, k=1e-4, j=0.5)`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         r: Resistance of the film per thickness, > 0.

@@ -20,6 +20,8 @@ from signorini_fenicsx.contact.law import VERTICAL, Film, Given, Graph, Law, Val
 class Dirichlet(Law):
     """u is given. Seen as a law, it has a vertical graph.
 
+    Usage: `Dirichlet("left", "0.1*y")`, of a body `Dirichlet("left", 0, components="n")`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         value: The trace u, continuous; a displacement has one for each component.
@@ -45,6 +47,8 @@ class Dirichlet(Law):
 class Neumann(Law):
     """The flux κ∇u·n, or the traction σn, is given. Seen as a law, it has a horizontal graph.
 
+    Usage: `Neumann(["left", "right"], 1)`, of a body `Neumann("top", [0, -1])`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         value: The flux; a traction has a value for each component.
@@ -63,6 +67,8 @@ class Neumann(Law):
 @dataclass(frozen=True)
 class Signorini(Law):
     """u ≥ ψ and κ∇u·n ≥ q_S, one of them equal.
+
+    Usage: `Signorini("bottom", psi="0.1*x")`.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -87,6 +93,8 @@ class Signorini(Law):
 class Friction(Law):
     """|κ∇u·n| ≤ g; u = 0 where it is less, κ∇u·n = −g where u > 0, g where u < 0 (Tresca).
 
+    Usage: `Friction("right", g="0.2*y")`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         g: g ≥ 0.
@@ -110,6 +118,8 @@ class Friction(Law):
 @dataclass(frozen=True)
 class TwoSided(Law):
     """ψ ≤ u ≤ ψ_upper; κ∇u·n = q_S where u is in between, ≥ q_S where u = ψ, ≤ q_S where u = ψ_upper.
+
+    Usage: `TwoSided("bottom", psi_upper=1, psi=-1)`.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -140,6 +150,8 @@ class TwoSided(Law):
 class Wall(Law):
     """κ∇u·n = β [level − u]_+: a thick wall that lets through what flows inwards only.
 
+    Usage: `Wall("left", beta=2, level="20 - y")`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         beta: β ≥ 0.
@@ -167,6 +179,8 @@ class Wall(Law):
 @dataclass(frozen=True)
 class Regulator(Law):
     """κ∇u·n = −k (u − a), cut off at g_low and g_high: a regulator of temperature.
+
+    Usage: `Regulator("top", k=5, g_low=-1, g_high=1, a=20)`.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -204,6 +218,8 @@ class Seepage(Law):
 
     κ∇u·n is what flows in. Below the level all rain flows in; at the level water may leave.
 
+    Usage: `Seepage("slope", rain=1e-8, level="y")`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         rain: What falls on the surface, per area and time; evaporation where it is negative.
@@ -228,6 +244,8 @@ class River(Law):
     """κ∇u·n = q + r (level − u) where u ≥ bed, q + r (level − bed) where u < bed, with the head as u.
 
     κ∇u·n is what flows in: out of a river through a bed that leaks, cut where the head falls below the bed.
+
+    Usage: `River("bed", r=0.1, level=12, bed=10)`.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -260,6 +278,8 @@ class River(Law):
 @dataclass(frozen=True)
 class Obstacle(Law):
     """ψ ≤ u ≤ ψ_upper in a region: s = 0 where u is in between, ≤ 0 where u = ψ, ≥ 0 where u = ψ_upper.
+
+    Usage: `Obstacle(region="all", psi="0.1 - x^2")`.
 
     Attributes:
         parts: Left out; `region` is in its place.
@@ -310,6 +330,8 @@ class Obstacle(Law):
 class Reaction(Law):
     """s = cu in a region.
 
+    Usage: `Reaction(region="core", c=2)`.
+
     Attributes:
         parts: Left out; `region` is in its place.
         c: c ≥ 0.
@@ -329,6 +351,8 @@ class Reaction(Law):
 @dataclass(frozen=True)
 class Corners(Law):
     """A graph by its corners.
+
+    Usage: `Corners("left", [(0, 1), (1, 0)], before="vertical")`.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -418,6 +442,8 @@ class Storage(Corners):
     """What a volume holds in a problem in time, θ(u): ∂θ(u)/∂t − ∇·(κ∇u) + … = f in a region, by the corners of θ.
 
     Where the graph of θ is vertical, u stays while θ changes, as ice does that melts.
+
+    Usage: `Storage(region="all", corners=[(0, 0), (0, 1)], before=1, beyond=2)`.
 
     Attributes:
         parts: Left out; `region` is in its place.

@@ -22,6 +22,8 @@ class Pair:
     A point of a slave facet is opposite to the nearest point of a master facet along the direction. Slave facets that
     are not covered by the master are free. The coarser surface should be the slave.
 
+    Usage: `Pair("block.bottom", "plate.top", Tied())`.
+
     Attributes:
         slave: Name of a part, or a list of names; it has the law, and its normals are those of the law.
         master: Likewise, the other side.

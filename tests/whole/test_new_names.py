@@ -1,6 +1,7 @@
-"""What the changelog writes in the place of the Python names of 0.4 works, and these names are told of it."""
+"""What the changelog writes in the place of the Python names of 0.4 works, and what docstrings of conditions write."""
 
 import builtins
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ from dolfinx.mesh import create_unit_square
 from mpi4py import MPI
 
 import signorini_fenicsx
-from signorini_fenicsx import extend
+from signorini_fenicsx import api, extend
+from signorini_fenicsx.contact.law import OnParts
+from signorini_fenicsx.physics.elasticity.conditions import JointSprings
 
 SIDES = {"bottom": (1, 0.0), "right": (0, 1.0), "top": (1, 1.0), "left": (0, 0.0)}
 
@@ -79,3 +82,15 @@ def test_problems_know_their_solutions(names: Names) -> None:
     for kind, solution in (("Diffusion", "solution"), ("Elasticity", "body")):
         problem = value(f"{kind}(1.0, 0.3)", names)
         assert type(names[solution]) is problem.solution_type
+
+
+def test_conditions_say_how_they_are_used():
+    """The docstring of each condition has lines that make it."""
+    given = [getattr(api, name) for name in api.__all__]
+    conditions = {each for each in given if isinstance(each, type) and issubclass(each, OnParts)}
+    for kind in [*conditions, JointSprings, api.Pair, api.Tresca, api.Coulomb]:
+        usage = re.findall(r"`(\w+\(.*?\))`", (kind.__doc__ or "").partition("Usage: ")[2].partition("Attributes")[0])
+        assert usage, kind
+        for line in usage:
+            made = eval(line, {**vars(api), "JointSprings": JointSprings})
+            assert kind in (type(made), type(getattr(made, "friction", None)))

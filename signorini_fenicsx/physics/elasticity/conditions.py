@@ -55,6 +55,8 @@ class Closed(Law):
 class Tresca:
     """Friction by Tresca's law, |σ_t| ≤ g.
 
+    Usage: `Contact("bottom", friction=Tresca(0.1))`.
+
     Attributes:
         g: g ≥ 0.
     """
@@ -69,6 +71,8 @@ class Tresca:
 @dataclass(frozen=True)
 class Coulomb:
     """Friction by Coulomb's law, |σ_t| ≤ g − μ σ_nn.
+
+    Usage: `Contact("fault", friction=Coulomb(0.6, g=1e5))`.
 
     Attributes:
         mu: μ ≥ 0.
@@ -89,6 +93,8 @@ class JointSprings(OnParts):
 
     The pressure is `normal` times how far the gap is overcome, |σ_t| is at most the bound of the friction, and less
     only where σ_t = −shear (u_t − w), w the slip so far.
+
+    Usage: `JointSprings("joint", normal=20, shear=8, friction=Coulomb(0.4))`.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -117,6 +123,8 @@ class JointSprings(OnParts):
 @dataclass(frozen=True)
 class Contact(OnParts):
     """Contact with a rigid foundation: u_n ≤ gap, σ_nn ≤ 0, one of them equal.
+
+    Usage: `Contact("bottom", gap="0.1*x^2")`.
 
     Attributes:
         parts: Name of a part, or a list of names.

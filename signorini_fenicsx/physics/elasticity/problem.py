@@ -68,6 +68,8 @@ class PlaneState(StrEnum):
 class Pressure(OnParts):
     """A pressure is given, the traction σn = −value n.
 
+    Usage: `Pressure("inside", "1 - y")`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         value: The pressure.
@@ -79,6 +81,8 @@ class Pressure(OnParts):
 @dataclass(frozen=True)
 class Support(OnParts):
     """Springs hold the body, the traction σn = −Ku. With a load on the same part it is what acts besides.
+
+    Usage: `Support("foot", [10, 5])`.
 
     Attributes:
         parts: Name of a part, or a list of names.

@@ -38,6 +38,8 @@ IN_EXCESS = "[problem] u_D: where u_n is given"
 class Outflow(Law):
     """u_n ≥ least and σ_nn ≥ −pressure, one of them equal: an outlet through which nothing is sucked in.
 
+    Usage: `Outflow("right", pressure=0.1)`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         least: The least velocity out of the domain.
@@ -72,6 +74,8 @@ class Outflow(Law):
 class Leak(Law):
     """u_t = 0 and |σ_nn| ≤ g; u_n = 0 where it is less, σ_nn = −g where u_n > 0, g where u_n < 0: a wall that leaks.
 
+    Usage: `Leak("wall", g=0.5)`.
+
     Attributes:
         parts: Name of a part, or a list of names.
         g: g ≥ 0.
@@ -90,6 +94,8 @@ class Slip(OnParts):
     """u_n is given, and |σ_t| ≤ g + β|u_t − w|; u_t = w where it is less than g, else σ_t is opposite to u_t − w.
 
     A wall on which fluid may slip, which moves along itself with w.
+
+    Usage: `Slip("bottom", g=0.1)`.
 
     Attributes:
         parts: Name of a part, or a list of names.
