@@ -228,21 +228,6 @@ def test_no_load(tmp_path: Path, algorithm: str):
     assert done.returncode == 0, done.stderr
 
 
-def test_3d_pictures_of_a_penalty_run(tmp_path: Path):
-    case = [
-        "geometry.shape=cube",
-        'boundary.signorini=["bottom"]',
-        "problem.f=20*(x - 0.5)",
-        "solve.h=0.5",
-        "solve.algorithm=alg3",
-    ]
-    settings = [argument for setting in case for argument in ("--set", setting)]
-    done = signorini(tmp_path, "solve", "example1", "--plot", *settings)
-    assert done.returncode == 0, done.stderr
-    for name in ("u.png", "sigma.png", "signorini.png"):
-        assert (tmp_path / "results" / "example1" / name).stat().st_size > 10_000
-
-
 def test_petsc_options_reach_petsc(tmp_path: Path):
     done = launched(tmp_path, "solve", "example1", "--h", "1/4", "--", "-ksp_view", "-mat_mumps_icntl_14", "50")
     assert done.returncode == 0

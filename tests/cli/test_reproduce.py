@@ -4,7 +4,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from commands import read_rows, run
+from reproduce import main
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
@@ -45,8 +47,10 @@ def test_reproduce_and_draw_again(tmp_path: Path):
     assert all((folder / f"{name}.png").exists() for name in names[1:])
 
 
-def test_unknown_items_are_refused(tmp_path: Path):
-    done = run(tmp_path, sys.executable, str(SCRIPTS / "reproduce.py"), "figure23", ranks=1)
-    assert done.returncode == 2
-    assert "invalid choice: 'figure23'" in done.stderr
+def test_unknown_items_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["reproduce.py", "figure23"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "invalid choice: 'figure23'" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -236,7 +236,7 @@ def test_quantities():
     values = {"on top": 0.059185, "weighted": 0.032679, "energy": -0.089936}
     lengths = {}
     for element in ("RT0", "RT1"):
-        solution = on_grid("example1", 10, solve__element=element)
+        solution = on_grid("example1", 8, solve__element=element)
         found = {name: solution.quantity(kind) for name, kind in kinds.items()}
         lengths[element] = {name: quantity.width for name, quantity in found.items()}
         assert all(

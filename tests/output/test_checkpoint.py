@@ -67,9 +67,9 @@ def _arrays(scene: Scene) -> list[np.ndarray]:
 @pytest.mark.parallel([1, 2])
 def test_start_from_another_solution(folder: Path):
     """A start from the solution takes one step, one from a coarser solution fewer than a cold start; same result."""
-    cold_case = load_case("example2").with_values({"solve.h": 2**-5, "solve.predict": False})
+    cold_case = load_case("example2").with_values({"solve.h": 2**-4, "solve.predict": False})
     cold = solve_case(cold_case, COMM)
-    kept(cold_case.with_values({"solve.h": 2**-4}), COMM, folder)
+    kept(cold_case.with_values({"solve.h": 2**-3}), COMM, folder)
     start = load_solution(folder, COMM)
     assert shared_domain(start, cold_case) is None
     for algorithm in ("alg1", "alg2", "alg3", "alg4"):
