@@ -57,9 +57,11 @@ def _text(value: object) -> str:
 
 
 def _entry(value: object) -> str:
-    """A cell of a table."""
+    """A cell of a table; a short number, such as one that is given, is as it is."""
     if value is None:
         return ""
+    if isinstance(value, float) and value == float(short := f"{value:.3g}") and "e" not in short:
+        return f"${short}$"
     return _number(value) if isinstance(value, float) and math.isfinite(value) else _text(value)
 
 
