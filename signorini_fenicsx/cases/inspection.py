@@ -39,7 +39,7 @@ class Expected:
 
     Attributes:
         dim: Dimension.
-        parts: For each boundary part its condition and, for a mesh file, number and measure of its facets.
+        parts: For each boundary part its condition and, for a mesh file, number, measure and centre of its facets.
         left: Parts of Γ_D that no list has; "" stands for facets of a mesh file in no part.
         regions: For each region of a mesh file the number of its cells.
         cells: Number of cells.
@@ -71,7 +71,7 @@ class Checked:
     Attributes:
         counts: Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
         left: Parts of Γ_D that no list has; "" stands for facets in no part.
-        parts: For each part its condition, the number of its facets, and their measure.
+        parts: For each part its condition, the number of its facets, their measure and centre.
         cells: Sizes and shapes of the cells, and what is in each region, in lines by what they are of.
         pairs: Of each pair of surfaces how they cover each other, distances and sizes of facets, in a line.
         remarks: What is worth knowing of the data besides, in sentences.
@@ -117,6 +117,7 @@ def expected(case: CaseFile, ranks: int) -> Expected:
                 "condition": case.condition_of(name) if counts.get(name) != 0 else NONE_OF_ITS_OWN,
                 "facets": len(rows),
                 "measure": _measure(mesh.points[rows]),
+                "center": (_moments(mesh.points[rows]) / _measure(mesh.points[rows])).tolist() if len(rows) else [],
             }
             for name, rows in mesh.parts.items()
             if name not in map(other_side, case.inner)
@@ -200,15 +201,16 @@ def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:
     mesh.topology.create_connectivity(dim - 1, dim)
     of_parts = [mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets[name]), :dim] for name in names]
     own = [name in listed or len(np.intersect1d(facets[name], spaces.dirichlet_facets)) for name in names]
-    sizes = [[len(each), _measure(each), own[i]] for i, each in enumerate(of_parts)]
-    rows = mesh.comm.allreduce(np.array(sizes, dtype=float).reshape(-1, 3))
+    sizes = [[len(each), _measure(each), own[i], *_moments(each)] for i, each in enumerate(of_parts)]
+    rows = mesh.comm.allreduce(np.array(sizes, dtype=float).reshape(-1, 3 + dim))
     return {
         name: {
             "condition": case.condition_of(name) if has_own else NONE_OF_ITS_OWN,
             "facets": int(count),
             "measure": float(measure),
+            "center": [float(moment / measure) for moment in moments],
         }
-        for name, (count, measure, has_own) in zip(names, rows, strict=True)
+        for name, (count, measure, has_own, *moments) in zip(names, rows, strict=True)
     }
 
 
@@ -243,8 +245,18 @@ def _check_steps(system: System, problem: Any, evolution: Evolution, options: Op
     return list(remarks.values())
 
 
-def _measure(x: np.ndarray) -> float:
-    """The measure of simplices with these corners, shape (simplices, corners, dim)."""
+def _measures(x: np.ndarray) -> np.ndarray:
+    """The measure of each of some simplices with these corners, shape (simplices, corners, dim)."""
     edges = x[:, 1:] - x[:, :1]
     gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
-    return float(np.sqrt(np.abs(gram)).sum() / math.factorial(x.shape[1] - 1))
+    return np.asarray(np.sqrt(np.abs(gram)) / math.factorial(x.shape[1] - 1))
+
+
+def _measure(x: np.ndarray) -> float:
+    """The measure of simplices with these corners."""
+    return float(_measures(x).sum())
+
+
+def _moments(x: np.ndarray) -> np.ndarray:
+    """The integrals of the coordinates over simplices with these corners."""
+    return np.asarray(_measures(x) @ x.mean(axis=1))

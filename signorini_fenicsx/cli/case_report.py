@@ -1,5 +1,6 @@
 """The report of a case: its contents, its expected cost, whether it can be solved."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,6 +10,9 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.inspection import Checked, Expected, is_typical
 from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.solving.solved import Solved
+
+NUMBERED = re.compile(r"(edge|face)\d+|\w+\.(edge|face)\d+")
+"""Names of faces of a drawing that has none."""
 
 
 class CaseReport(Report):
@@ -59,6 +63,8 @@ class CaseReport(Report):
         """Print what holds on each part of the boundary."""
         for name, part in parts.items():
             size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
+            if NUMBERED.fullmatch(name) and part.get("center"):  # which one it is
+                size += f", center ({', '.join(f'{x:.4g}' for x in part['center'])})"
             self.entry("part", f"{name}: {part['condition']}{size}")
 
     def _left(self, case: CaseFile, left: Sequence[str]) -> None:

@@ -39,6 +39,7 @@ def test_sizes_are_those_of_the_mesh():
         "base": "neumann",
     }
     assert dam.parts["face"]["measure"] == pytest.approx(8 * 2**0.5, rel=1e-12)
+    assert dam.parts["face"]["center"] == pytest.approx([18, 6])
     assert dam.regions.keys() == {"shell", "core"}
     few, many = (expected(load_case("membrane").with_values({"time.steps": steps}), 1) for steps in (1, 80))
     assert many.solver_seconds == pytest.approx(80 * few.solver_seconds)
