@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 from elastic import box
@@ -19,6 +20,7 @@ from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
@@ -288,6 +290,21 @@ def test_a_thin_plate_in_the_fluid():
     assert pulls[0] == pytest.approx(pulls[1], rel=0.1)
     with pytest.raises(InputError, match="'slit' is inside the fluid, where it is a thin plate"):
         solve(domain, Stokes(MU, conditions=[Leak("slit", g=1)]))
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_thin_plate_in_space():
+    """It moves as the exact flow does there, so that the flow is exact, and its bound guaranteed."""
+    u = ["z*(1 - z) + 0.3*y", "0.2*x", "0"]
+    sides = [(f"{name}{end}", k, end) for k, name in enumerate("xyz") for end in (0, 1)]
+    parts = {name: lambda x, k=k, end=end: np.isclose(x[k], end) for name, k, end in sides}
+    parts["plate"] = lambda x: np.isclose(x[2], 0.5) & (x[0] < 0.6)
+    domain = domain_of(dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2), parts, inner=["plate"])
+    found = solve(domain, Stokes(MU, f=[2 * MU, 0, 0], u_D=u, exact=u, conditions=[Dirichlet("plate", u)]))
+    assert found.errors()["energy"] < 1e-9
+    certificate = found.certify()
+    assert certificate.guaranteed
+    assert certificate.relative < 1e-7
 
 
 ONE_WAY = [(Outflow("x1"), "lower"), (Corners("x1", [[0, 0]], 0, "vertical"), "higher")]
