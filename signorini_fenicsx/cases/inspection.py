@@ -13,6 +13,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
+from signorini_fenicsx.cases.quantities import AT_ONCE
 from signorini_fenicsx.cases.solving import check_quantities_of, options_of
 from signorini_fenicsx.discrete.cell_shapes import corners, hat_gradients
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -28,6 +29,9 @@ from signorini_fenicsx.solving.solver import System, Wish, system_on
 
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
+
+OF_INTERVAL, OF_LATER_INTERVAL = 10.0, 2.0
+"""What an interval that is searched costs beside a run without one, measured as 4 to 11; in later steps two bounds."""
 
 NONE_OF_ITS_OWN = "none of its own"
 """What is said of a part all of whose facets are in parts that lists have."""
@@ -48,7 +52,7 @@ class Expected:
         exact: Whether the numbers are those of the mesh, not estimates.
         memory: Bytes for all ranks together.
         solver_seconds: Seconds from the assembled problem to the solution; in time for all steps together.
-        run_seconds: Seconds of the whole run without Gmsh.
+        run_seconds: Seconds of the whole run without Gmsh, with the intervals of quantities.
     """
 
     dim: int
@@ -126,6 +130,8 @@ def expected(case: CaseFile, ranks: int) -> Expected:
         cells, sides = len(mesh.cells) if exact else round(rough_cells(case)), (dim + 1) * len(mesh.cells)
         facets = round((sides - len(neighbours(faces(mesh.cells))[0])) * cells / len(mesh.cells))
     cost, steps = case.costs[dim], max(case.steps, 1)
+    searched = sum(each.kind not in AT_ONCE for each in case.quantity)
+    runs = 1 + searched * (OF_INTERVAL + OF_LATER_INTERVAL * (steps - 1))
     return Expected(
         dim=dim,
         parts=parts,
@@ -137,7 +143,7 @@ def expected(case: CaseFile, ranks: int) -> Expected:
         exact=exact,
         memory=ranks * PROCESS_BYTES + cost.memory * facets,
         solver_seconds=steps * facets / cost.solver_rate / ranks,
-        run_seconds=START_SECONDS + facets * (1 / cost.run_rate + (steps - 1) / cost.solver_rate) / ranks,
+        run_seconds=START_SECONDS + facets * (runs / cost.run_rate + (steps - 1) / cost.solver_rate) / ranks,
     )
 
 

@@ -38,6 +38,8 @@ KINDS: Mapping[str, type[Kind]] = {
 OF_QUANTITIES = READERS | {str | Sequence[str]: str | list[str], Sequence[float]: list[float]}
 SIGNED = ("integral", "flux")
 """Those with a sign: the physical flux may be −κ∇u, and u minus what is meant."""
+AT_ONCE = ("energy", "dissipation")
+"""Those whose interval follows from the solution and its bound; others take problems beside it."""
 NO_TEXTS = ("region", "parts", "direction")
 OF_KIND = {name: data_section(kind, OF_QUANTITIES, NO_TEXTS) for name, kind in KINDS.items()}
 

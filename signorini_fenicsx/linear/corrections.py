@@ -17,6 +17,8 @@ PATIENCE = 30
 """In so many corrections what is left has to fall by a half."""
 MEMORY, FEW = 2**28, 4
 """Bytes of a rank for earlier corrections, and how many are kept whatever they need."""
+WHOLE = 1e-3
+"""A first correction whose best share is as near to 1 is taken as it is: what it leaves is known then."""
 GOOD = 0.1
 """Where a correction leaves at most this share, none are kept: the solver is good."""
 
@@ -49,12 +51,15 @@ def corrected(
         if len(sizes) > PATIENCE and sizes[-1] > sizes[-1 - PATIENCE] / 4:
             break
         change = correction(left)
-        change = [left_by(_sum(fields, change)) - left, *change]
+        corrected_once = _sum(fields, change)
+        change = [left_by(corrected_once) - left, *change]
         for earlier in kept:
             change = _sum(change, earlier, -dot(change[0], earlier[0]) / dot(earlier[0], earlier[0]))
         size = dot(change[0], change[0])
-        fields = _sum(fields, change[1:], -dot(left, change[0]) / size if size > 0 else 0.0)
-        left = left_by(fields)
+        share = -dot(left, change[0]) / size if size > 0 else 0.0
+        whole = not kept and abs(share - 1) < WHOLE
+        fields = corrected_once if whole else _sum(fields, change[1:], share)
+        left = left + change[0] if whole else left_by(fields)
         sizes.append(dot(left, left))
         if sizes[-1] <= GOOD**2 * sizes[-2]:
             kept = []

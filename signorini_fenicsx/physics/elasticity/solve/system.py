@@ -46,8 +46,8 @@ class ElasticSystem(HybridSystem):
         self._take(data)
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
         if data.material.incompressible:
-            softness = np.concatenate([self._softness(cells) for cells in blocks_of_cells(spaces.mesh)])
-            self.mean = MeanPressure.of_traces(spaces, softness, Cells(spaces.vertices).measure)
+            softness = [_softness(data.compliances(spaces, cells)) for cells in blocks_of_cells(spaces.mesh)]
+            self.mean = MeanPressure.of_traces(spaces, np.concatenate(softness), Cells(spaces.vertices).measure)
         self._take_loads()
 
     def _take(self, data: ElasticData) -> None:
@@ -101,10 +101,6 @@ class ElasticSystem(HybridSystem):
         for loads in (of_f, of_f[:0] if strains is None else strains):
             of_loads.update(loads.tobytes())
         return compliances, of_f, strains
-
-    def _softness(self, numbers: npt.NDArray[np.int32]) -> Array:
-        """The mean of 1/2μ on cells (collective)."""
-        return mean_compliances(self._data.compliances(self.spaces, numbers))[0].mean(axis=1)
 
     def pulls_of_means(self, means: Array) -> Array:
         """⟨mn, q⟩ summed over the cells for each owned unknown (collective)."""
@@ -172,8 +168,8 @@ class ElasticSystem(HybridSystem):
             product = compliance_product(basis, masses)
             if data.material.incompressible:
                 traces = basis[:, :, : spaces.dim].sum(axis=2).mean(axis=1)
-                weight = self._softness(numbers) * cells.measure / (spaces.dim**2 * BULK)
-                product += weight[:, None, None] * traces[:, :, None] * traces[:, None]
+                weight = _softness(compliances) * cells.measure / (spaces.dim**2 * BULK)
+                product += (weight[:, None] * traces)[:, :, None] * traces[:, None]
             tractions = cells.tractions(self.element.tractions)
             spaces.to_unknowns(tractions, numbers)
             balance = -np.linalg.solve(cells.derivative, of_f.transpose(0, 2, 1)).transpose(0, 2, 1)
@@ -209,6 +205,11 @@ class ElasticSystem(HybridSystem):
         """⟨σn, q⟩ summed over the cells for each owned unknown, from values as `recover` gives them (collective)."""
         spaces = self.spaces
         return spaces.forces(np.einsum("nsaij,nsj->nsai", stresses[:, :, : spaces.dim], facet_normals(spaces.vertices)))
+
+
+def _softness(compliances: Array) -> Array:
+    """The mean of 1/2μ on cells with these 𝔸 in points."""
+    return np.asarray(mean_compliances(compliances)[0].mean(axis=1))
 
 
 def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.int32]) -> None:
