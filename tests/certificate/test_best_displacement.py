@@ -121,6 +121,7 @@ class Dense:
         self.bound = np.where(self.one_sided[:, None], [0.3, 0.0], 0.1) * random.random((len(kinds), 2))
         self.most = np.where(kinds == 0, np.inf, 0.3 * random.random(len(kinds)))
         self.unit = np.einsum("kcn,nm,kcm->k", self.axes, self.matrix, self.axes)
+        self.on_pieces = np.zeros(len(kinds), dtype=bool)
 
     def times(self, x: Array) -> Array:
         """Kx."""

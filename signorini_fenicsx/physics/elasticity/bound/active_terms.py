@@ -28,6 +28,8 @@ ROUNDS = 12
 ENOUGH = 5e-4
 """The minimum is found if other sets would change it by about this share of itself at most: what each term that should
 change stores in a spring of the unit. That is less than it gains by a factor of about ten,"""
+IDLE = 0.01
+"""Sets of terms on pieces go on changing: two solves one after the other that gain less than this share are enough."""
 LEAST = 1e-16
 """or by this share of the scale of the minimum, which is rounding."""
 ACCURATE = 0.003
@@ -54,6 +56,8 @@ class Terms(Protocol):
         most: w, ∞ for a foundation.
         one_sided: Whether no component of a force is negative.
         unit: A stiffness for each term, of the size of K there, shared by those with friction at the same node.
+        on_pieces: Which terms are on pieces of facets: they are more than can be active, so that a one-sided one is
+            taken for active at the start only if its force is positive where it grows by the unit with what is passed.
         locks: By how much the volume makes K stiffer than shear does.
     """
 
@@ -65,6 +69,7 @@ class Terms(Protocol):
     most: Array
     one_sided: Mask
     unit: Array
+    on_pieces: Mask
     locks: float
 
     def times(self, x: Array) -> Array:
@@ -99,7 +104,7 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
     """
     comm, off = terms.comm, terms.along(x) - terms.bound
     sets, changed, best = _Sets.of(terms, forces, off), True, terms.pushed(x)
-    least = _value(terms, best)
+    least, idle, pieces = _value(terms, best), 0, comm.allreduce(bool(terms.on_pieces.any()), MPI.LOR)
     for number in range(ROUNDS):
         if changed:
             springs = sets.springs(terms)
@@ -116,11 +121,12 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
         value = _value(terms, inside)
         if not np.isfinite(value):
             break
+        idle = idle + 1 if pieces and value > (1 - IDLE) * least else 0
         if value < least:
             least, best = value, inside
         after, gain = sets.after(terms, sets.force + np.einsum("kij,kj->ki", springs, off), off)
         enough = max(ENOUGH * least, LEAST * terms.scale)
-        if gain <= enough and allowed <= 2 * ACCURATE * np.sqrt(2 * max(least, 0.0)):
+        if idle == 2 or (gain <= enough and allowed <= 2 * ACCURATE * np.sqrt(2 * max(least, 0.0))):
             break
         slips = off.shape[1] > 1 and bool((~after.held & ~terms.one_sided).any())
         changed = comm.allreduce(slips or bool((after.held != sets.held).any()), MPI.LOR)
@@ -146,11 +152,12 @@ class _Sets:
     def of(cls, terms: Terms, forces: Array, off: Array) -> _Sets:
         """The sets of these forces and this Ax − g (collective)."""
         most, rubs, foundations = terms.most, ~terms.one_sided, np.isinf(terms.most)
+        passed = np.where(terms.on_pieces, terms.unit, 0.0) * off[:, 0]
         largest = terms.comm.allreduce(float(np.abs(forces[foundations]).max(initial=0.0)), MPI.MAX)
         margin = TOUCHES * np.where(foundations, largest, most)
         ahead = (1 + TOUCHES) * forces + np.where(rubs, AHEAD * terms.unit, 0.0)[:, None] * off
         force = _nearest(terms, ahead)
-        pressed = forces[:, 0] > margin
+        pressed = forces[:, 0] + passed > margin
         held = np.where(rubs, (force == ahead).all(axis=1), pressed & (forces[:, 0] < most - margin))
         force[terms.one_sided] = 0.0
         full = pressed & ~held & terms.one_sided

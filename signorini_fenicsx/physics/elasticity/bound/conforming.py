@@ -26,6 +26,7 @@ from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.discrete.trace_multigrid import STIFF
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
+from signorini_fenicsx.physics.elasticity.bound.collected import Collected
 from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condensed, displacement_solver, means_at_nodes
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets, kinks_on
@@ -41,8 +42,6 @@ from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, mate
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 
-FREE = 1e-12
-"""A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""
 SHIFT = 1e-13
 """Share of the diagonal that is added in factorisations: no motion is free, and nothing else is changed."""
 MANY = {2: 300_000, 3: 20_000}
@@ -160,11 +159,13 @@ class BestDisplacement:
         axes = signs[:, None, :, None] * np.einsum("ksij,kmi->kmsj", self._given.frames[nodes], directions)
         bound -= np.einsum("kmsj,ksj->km", axes, self._given.values[nodes])
         axes = np.where(self._given.given[nodes][:, None], 0.0, axes)
-        free = (axes**2).sum(axis=(1, 2, 3)) > FREE
-        self._nodes, self._axes, self.bound = self._left.number_of[nodes[free]], axes[free], bound[free]
         most = np.concatenate([most, weights[rubs], np.full(len(ways), np.inf)])
-        self.most, self.one_sided = most[free], (np.arange(len(nodes)) < touching)[free]
-        self._forces = of_y[free]
+        kinds, one_sided = np.zeros((len(nodes), 2)), np.arange(len(nodes)) < touching
+        kinds[:touching], share = np.column_stack([sides, corners]), np.append(contact.share[rows], np.ones(len(ways)))
+        terms = Collected(self._left.number_of[nodes], axes, bound, of_y, most, one_sided, share).once(kinds)
+        self._nodes, self._axes, self.bound, self._forces = terms.nodes, terms.axes, terms.bound, terms.forces
+        self.most, self.one_sided, self.on_pieces = terms.most, terms.one_sided, terms.on_pieces
+        self._shares = terms.share
 
         pulling = vector(strain(ufl.TestFunction(self.space))), ufl.dot(self.material.stiffness, self._without_v)
         pull = fem.assemble_vector(fenicsx.form(-ufl.inner(*pulling) * self.material.dx))
@@ -234,7 +235,7 @@ class BestDisplacement:
         stiffness = la.vector(self._numbers, dim)
         stiffness.array[: size * dim] = diagonal.array_r + inside.softened
         stiffness.scatter_forward()
-        self.unit = stiffness.array.reshape(-1, dim)[self._nodes].max(axis=(1, 2), initial=0.0)
+        self.unit = stiffness.array.reshape(-1, dim)[self._nodes].max(axis=(1, 2), initial=0.0) * self._shares
         self.locks = 1.0 if material.incompressible else 1 + self.data.stiffness_of_volume(self.spaces) / 2
         self._share()
         self._shift = (1 + SHIFT) * self._natural.getDiagonal()

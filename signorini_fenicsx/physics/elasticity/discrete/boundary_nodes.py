@@ -123,6 +123,11 @@ class ContactCoefficients(FacetCoefficients):
         weights[(nodes == nodes[:, :1]).all(axis=1) & (weights[:, 1] != 0)] = 0.0
         return nodes, weights
 
+    @property
+    def share(self) -> Array:
+        """The share of its whole facet that each of them is."""
+        return np.asarray(np.abs(np.linalg.det(self.corners)))
+
     def of_jumps(self, rows: Indices) -> tuple[Indices, Array]:
         """The nodes of both sides of some facets, and the coefficients of the jump from those of these.
 
