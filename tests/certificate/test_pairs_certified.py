@@ -170,9 +170,6 @@ def test_what_there_is() -> None:
     """A displacement of another program has bounds; refused are integrals over slaves, forces on masters and more."""
     domain = boxes(0.5, 0.5, height=0.0)
     tied, touching = (pressed(domain, Pair("up.bottom", "low.top", law)) for law in (Tied(), None))
-    for kind in (Energy(), Integral(direction=(0, 1))):
-        with pytest.raises(InputError, match="where a pair is tied there are forces and moments alone"):
-            tied.quantity(kind)
     nothing = fem.Function(fem.functionspace(touching.spaces.mesh, ("P", 1, (2,))))
     found = bound_field(touching, nothing)  # as far from u as u is large
     assert found.lower < touching.norms()["energy"] < found.bound < 1.2 * found.lower
@@ -182,6 +179,18 @@ def test_what_there_is() -> None:
         touching.quantity(Force("low.top", direction=(0, 1)))
     with pytest.raises(InputError, match=r"'low.top' is tied"):
         tied.quantity(Force("low.top", direction=(0, 1)))
+
+
+def test_quantities_where_tied() -> None:
+    """Energy and integrals of the displacement, also over masters, are in intervals that meet those on finer meshes."""
+    domain = boxes(0.6, 0.4, 0.17)
+    coarse, fine = (pressed(each, Pair("up.bottom", "low.top", Tied())) for each in (domain, finer(domain, 1)))
+    for kind in (Energy(), Integral(direction=(0, 1)), Integral(parts="low.top", direction=(0, 1))):
+        found, known = coarse.quantity(kind), fine.quantity(kind)
+        assert found.guaranteed
+        assert max(known.lower, found.lower) <= min(known.upper, found.upper)
+        assert found.width < 0.1 * abs(known.value)
+        assert known.width < found.width / 1.5
 
 
 @pytest.mark.parametrize("end", [0.5, 0.3])

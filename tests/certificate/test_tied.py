@@ -2,16 +2,19 @@
 
 import basix.ufl
 import numpy as np
+import pytest
 from bodies_apart import two
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Dirichlet, Elasticity, Neumann, Pair, Tied, solve
+from signorini_fenicsx.api import Dirichlet, Elasticity, InputError, Neumann, Pair, Tied, solve
 from signorini_fenicsx.discrete.linear_traces import opposite
-from signorini_fenicsx.physics.elasticity.bound.tied import lacking, tied_pairs
+from signorini_fenicsx.physics.elasticity.bound.tied import lacking, pulled_open, tied_pairs
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.quantities.kinds import Integral
 
 STEP = 1e-5
+STRESS = np.array([[1.0, 0.5, -2.0], [0.5, 3.0, 0.7], [-2.0, 0.7, 5.0]])
 
 
 def opened(x: np.ndarray) -> np.ndarray:
@@ -35,8 +38,12 @@ def mean_square(corners: np.ndarray, ends: int, seed: int) -> float:
     return float((((slopes + slopes.swapaxes(1, 2)) / 2) ** 2).sum(axis=(1, 2)).mean())
 
 
-def lift_of(held: str = "") -> tuple[ElasticSpaces, np.ndarray, float]:
-    """The spaces of two cubes that are tied, where the lower one is opened; ‖ε(d)‖² on cells; the largest jump left."""
+def lift_of(held: str = "") -> tuple[ElasticSpaces, np.ndarray, float, float]:
+    """Two cubes that are tied, where the lower one is opened.
+
+    Returns:
+        Their spaces, ‖ε(d)‖² on cells, the largest jump left, and ∫ yn·d for a constant y.
+    """
     domain = two(MPI.COMM_SELF, (1, 1, 1), (2, 2, 1), gap=0.05)
     free = [f"{body}{axis}{end}" for body in "ul" for axis in (0, 1) for end in (0, 1)]
     fixed = [Dirichlet(part, 0) for part in ("u21", "l20", held) if part]
@@ -46,13 +53,19 @@ def lift_of(held: str = "") -> tuple[ElasticSpaces, np.ndarray, float]:
     element = basix.ufl.element("P", split.mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(3,))
     v = fem.Function(fem.functionspace(split.mesh, element))
     v.interpolate(lambda x: np.where(x[2] < 0.02, opened(x.T).T, 0.0))
-    return spaces, *lacking(list(tied_pairs(spaces, split, v.function_space)), spaces, solution.data, v)
+    pairs = list(tied_pairs(spaces, split, v.function_space))
+    squares, past = lacking(pairs, spaces, solution.data, v)
+    with pytest.raises(InputError, match="none is there over 'u10', which meets a tied slave"):
+        solution.quantity(Integral(parts="u10", direction=(0, 0, 1)))
+    stresses = np.tile(STRESS, (len(spaces.order), 4, 4, 1, 1))
+    return spaces, squares[:, 0], past, pulled_open(pairs, spaces, stresses, v)
 
 
 def test_strain_of_the_lift() -> None:
     """‖ε(d)‖ on each cell is that of d by differences at random points; on what is given nothing may be lacking."""
-    spaces, found, past = lift_of()
+    spaces, found, past, pulled = lift_of()
     assert past < 1e-12
+    assert pulled == pytest.approx(-STRESS[2] @ [1.3, 0.5, 3.0] / 6)
     expected = np.zeros(len(found))
     for cell, vertices in enumerate(spaces.vertices):
         for facet in vertices[opposite(3)]:

@@ -210,12 +210,19 @@ def gap_of_cells(
     of_subcells = resolution.with_missed(problem, fem.assemble_vector(fenicsx.form(gaps)).array[: len(split.subcells)])
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells)
-    if problem.tied:
-        mismatch = _with(mismatch, np.sqrt(resolution.stiffest() * lacking(problem.tied, spaces, solution.data, v)[0]))
+    mismatch = _with(mismatch, lacked(problem, v, resolution)[:, 0])
     np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
     on_supports = problem.supports.gap(v) * (0.5 if half else 1.0)
     np.add.at(on_contact, problem.supports.on.facets.cells, on_supports)
     return mismatch, on_contact
+
+
+def lacked(problem: BestDisplacement, v: fem.Function, resolution: Resolution) -> Array:
+    """A bound of ‖ℂε(d)‖ and ‖d‖ of the d that v lacks, see `tied`, shape (owned cells, 2) (collective)."""
+    if not problem.tied:
+        return np.zeros((len(problem.spaces.order), 2))
+    squares, _ = lacking(problem.tied, problem.spaces, problem.data, v)
+    return np.sqrt(squares * np.column_stack([resolution.stiffest(), np.ones(len(squares))]))
 
 
 def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:

@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 
+import basix
 import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.certificate import opposite
 from signorini_fenicsx.certificate.opposite import Opposite
+from signorini_fenicsx.discrete.points import facet_type
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import facet_coefficients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
@@ -26,14 +28,34 @@ def tied_pairs(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace
 def lacking(
     pairs: Sequence[Opposite], spaces: ElasticSpaces, data: ElasticData, v: fem.Function
 ) -> tuple[Array, float]:
-    """‖ε(d)‖² on each owned cell, and the largest jump of r, between pieces or facets, on this rank (collective)."""
+    """‖ε(d)‖² and ‖d‖² on each owned cell, and the largest jump of r on this rank (collective)."""
     masters = [spaces.boundary_facets(joint.masters) for joint in spaces.joints]
     everything = [spaces.contact, spaces.across, data.supports.facets, *masters]
     given = [(facets, np.tile(np.eye(3)[k], (len(facets.cells), 1))) for facets in everything for k in range(3)]
     given += [(each.facets, each.axes) for each in spaces.fixed]
     values = v.x.array.reshape(-1, spaces.dim)
-    squares, largest = opposite.lacking([(pair, values) for pair in pairs], spaces, given)
-    return squares[:, 0], largest
+    return opposite.lacking([(pair, values) for pair in pairs], spaces, given)
+
+
+def pulled_open(pairs: Sequence[Opposite], spaces: ElasticSpaces, stresses: Array, v: fem.Function) -> float:
+    """∫ yn·d over the slaves, where d = r, on this rank.
+
+    Args:
+        pairs: The pairs.
+        spaces: The spaces.
+        stresses: y, as in `SplitMesh.values`.
+        v: v.
+    """
+    total = 0.0
+    for pair in pairs:
+        pieces, facets = pair.pieces, pair.slaves.facets
+        at_corners = pieces.on_slave @ spaces.tractions(facets, stresses)[pieces.slave]
+        points, weights = basix.make_quadrature(facet_type(spaces.dim), pair.slaves.degree + 1)
+        r = np.einsum("qk,pki->pqi", pair.slaves.basis(points), pair.jumps(v.x.array.reshape(-1, spaces.dim)))
+        at_points = np.column_stack([1 - points.sum(axis=1), points]) @ at_corners
+        measure = pieces.share * facets.measure[pieces.slave]
+        total += float(np.einsum("p,q,pqi,pqi->", measure, weights / weights.sum(), at_points, r))
+    return total
 
 
 def with_tied(pairs: Sequence[Opposite], nodes: Indices, signs: Array) -> tuple[Indices, Array, Array]:

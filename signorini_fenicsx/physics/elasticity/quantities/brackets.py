@@ -12,11 +12,12 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, opposite
 from signorini_fenicsx.discrete.points import Points, facet_quadrature
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
@@ -27,6 +28,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     TRESCA,
     UNBALANCED,
     gap_of_cells,
+    lacked,
     not_in_the_spaces,
     with_surface,
     without_bound,
@@ -36,8 +38,9 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleSt
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.quantities.energy import TIED, Along, degree_of_v, energy
+from signorini_fenicsx.physics.elasticity.quantities.energy import Along, degree_of_v, energy
 from signorini_fenicsx.physics.elasticity.quantities.motions import (
     OPPOSITE,
     check_parts,
@@ -138,20 +141,23 @@ class _Side:
         y: Its stress.
         v: The displacement nearest to it.
         past: Why v is not admissible; empty if it is.
+        lacked: ‖d‖ on owned cells for the d that v lacks where pairs are tied.
     """
 
     solution: ElasticSolution
     y: AdmissibleStress
     v: fem.Function
     past: str
+    lacked: Array
 
     @classmethod
     def of(cls, solution: ElasticSolution) -> "_Side":
         """The admissible fields of a solution (collective)."""
         y = admissible_stress(solution)
-        spaces = solution.spaces
-        v, past = BestDisplacement(spaces, solution.data, y, spaces.split, degree_of_v(solution.data)).minimum()
-        return cls(solution, y, v, past)
+        spaces, data = solution.spaces, solution.data
+        problem = BestDisplacement(spaces, data, y, spaces.split, degree_of_v(data))
+        v, past = problem.minimum()
+        return cls(solution, y, v, past, lacked(problem, v, Resolution(spaces, data))[:, 1])
 
 
 class _Beside(Beside[_Side]):
@@ -164,8 +170,6 @@ class _Beside(Beside[_Side]):
     def __init__(self, solution: ElasticSolution, kind: Kind):
         if why := without_bound(solution):
             raise InputError(f"{type(kind).__name__}: {why}")
-        if not self.of_flux and any(joint.pair.tied for joint in solution.spaces.joints):
-            raise InputError(f"{type(kind).__name__}: {TIED}")
         super().__init__(solution, kind)
 
     def memory(self, tau: float) -> FromBefore:
@@ -273,7 +277,20 @@ class Fluxes(_Beside):
 
 
 class Integrals(beside.IntegralsBeside[_Side], _Beside):
-    """The integral of a component of the displacement with a weight, or its mean."""
+    """The integral of a component of the displacement with a weight, or its mean.
+
+    Raises:
+        InputError: In space, if it is over facets at edges of slaves that are tied (collective).
+    """
+
+    def __init__(self, solution: ElasticSolution, kind: Integral):
+        super().__init__(solution, kind)
+        spaces, of_slaves = self.spaces, np.zeros(len(self.spaces.mesh.geometry.x), dtype=bool)
+        of_slaves[_ends(spaces, spaces.boundary_facets(spaces.tied))] = True
+        for part in kind.parts if spaces.dim == 3 else ():
+            on_edges = of_slaves[_ends(spaces, spaces.part(part))].sum(axis=1) > 1
+            if self.comm.allreduce(bool(on_edges.any()), MPI.LOR):
+                raise InputError(f"{type(kind).__name__}: none is there over '{part}', which meets a tied slave")
 
     def discrete(self) -> float:
         """The integral of u_h along the direction, or of its normal component, or its mean (collective).
@@ -325,7 +342,8 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
                 Along.of(of.v, subcells, along),
                 np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1),
             )
-            return products(tree, v.vertices, measure, v.at, degree, spaces.frame, enough).total
+            total[1] = self._lacked(of, float(np.linalg.norm(along)))
+            return total + products(tree, v.vertices, measure, v.at, degree, spaces.frame, enough).total
         inner = [other_side(part) for part in self.kind.parts if part in self.solution.boundary.inner]
         for part in (*self.kind.parts, *inner):
             facets, sign = spaces.part(part), -1.0 if part in inner else 1.0
@@ -333,6 +351,18 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
             v = Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
             total += products(tree, facets.vertices, facets.measure, v.at, degree, spaces.frame, enough).total
         return total
+
+    def _lacked(self, of: _Side, size: float) -> float:
+        """∫ |wd| in cells for a direction of this size, at most ‖w‖ ‖d‖ on each, on this rank (collective)."""
+        missed = 0.0
+        for points in self.where(power=2) if self.spaces.joints else ():
+            missed += float(np.sqrt(points.integrals(self.weight.values(points) ** 2)) @ of.lacked[points.cells])
+        return size * missed
+
+
+def _ends(spaces: ElasticSpaces, facets: BoundaryFacets) -> Indices:
+    """The nodes at the vertices of facets, shape (facets, d)."""
+    return np.asarray(spaces.nodes[facets.cells[:, None], opposite(spaces.dim)[facets.local]])
 
 
 QUANTITIES = Quantities(check, energy, Integrals, Fluxes, named_for)

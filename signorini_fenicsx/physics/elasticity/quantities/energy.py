@@ -21,6 +21,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     LACKING,
     UNBALANCED,
     gap_of_cells,
+    lacked,
     not_in_the_spaces,
     without_bound,
 )
@@ -30,6 +31,7 @@ from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of, without_
 from signorini_fenicsx.physics.elasticity.bound.lifted import degree_of
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
+from signorini_fenicsx.physics.elasticity.bound.tied import pulled_open
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum, facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -43,10 +45,6 @@ OF_V = {2: 3, 3: 2}
 def degree_of_v(data: ElasticData) -> int:
     """The degree of v for these data."""
     return max(OF_V[data.material.dim], degree_of(data))
-
-
-TIED = "where a pair is tied there are forces and moments alone"
-"""Why there is no other quantity: v + d is the displacement there, see `tied`, and integrals of d are not known."""
 
 
 @dataclass(frozen=True)
@@ -83,12 +81,16 @@ def energy(solution: ElasticSolution) -> Quantity:
     tools, with e = ε(v) − ε₀, and φ of the laws between opening and pressure, which is −λp at the reference (p, λ) of
     the law and nowhere less than −λp. What is taken for the work of friction and for φ may be a bit more than these;
     the gap has the same in it, so that the lower bound is true.
+
+    Where pairs are tied v + d is admissible, see `tied`. With s = ℂ(ε(v) − ε₀) − y, as y balances the loads,
+
+        J(v + d) = J(v) + ∫ yn·d + (s, ε(d)) + ½‖ℂε(d)‖²,   |(s, ε(d))| ≤ Σ ‖s‖_T ‖ℂε(d)‖_T,   up to Σ osc_T ‖ℂε(d)‖_T,
+
+    with the integral over the slaves. The last two terms are in its gap, too: so the lower bound has that of v.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
     if why := without_bound(solution):
         raise InputError(f"Energy: {why}")
-    if any(joint.pair.tied for joint in spaces.joints):
-        raise InputError(f"Energy: {TIED}")
     if spaces.joints and data.laws.of_parts:
         raise InputError("Energy: of pairs there is none with other laws than contact and friction")
     y = admissible_stress(solution)
@@ -98,14 +100,19 @@ def energy(solution: ElasticSolution) -> Quantity:
     mismatch, contact = gap_of_cells(solution, y, problem, v, resolution)
     mismatch = np.maximum(mismatch, 0.0)
     oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
-    distance = y.distance + missed
-    local = mismatch / 2 + contact + oscillation * (np.sqrt(mismatch) + oscillation / 2)
-    sums = comm.allreduce(np.array([local.sum(), ((np.sqrt(mismatch) + oscillation) ** 2).sum()]))
-    below = max(float(sums[0]), 0.0) + distance * (math.sqrt(sums[1]) + distance / 2)
+    distance, strain_of_d = y.distance + missed, lacked(problem, v, resolution)[:, 0]
+    of_v = np.sqrt(mismatch) - strain_of_d
+    local = of_v**2 / 2 + contact + oscillation * (np.sqrt(mismatch) + oscillation / 2 + strain_of_d)
+    squares = (np.sqrt(mismatch) + oscillation) ** 2, strain_of_d**2, strain_of_d * (of_v + oscillation)
+    opened = pulled_open(problem.tied, spaces, y.stresses, v)
+    sums = comm.allreduce(np.array([local.sum(), *(each.sum() for each in squares), opened]))
+    of_d = distance * math.sqrt(sums[2])
+    below = max(float(sums[0]), 0.0) + distance * (math.sqrt(sums[1]) + distance / 2) + of_d
     value, wrong = _of_v(solution, problem, v, SHARE * below)
+    value += float(sums[4])
     if past or not math.isfinite(y.distance):
         return Quantity(value, -math.inf, math.inf, False, past or UNBALANCED)
-    lower, upper = value - below - wrong, value + wrong
+    lower, upper = value - below - wrong, value + float(sums[2] / 2 + sums[3]) + of_d + wrong
     missing = not_in_the_spaces(resolution, material=False)  # the work of strains is by quadrature
     reason = reservation(resolution.unresolved(), missing, LACKING)
     return Quantity(value, lower, upper, not reason, reason)
