@@ -27,6 +27,7 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.soils import Gardner, Soil, VanGenuchten
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.quantities import Energy, Flux, Mean
 
 COMM = MPI.COMM_WORLD
@@ -139,21 +140,29 @@ def test_backends_regions_quantities_and_files(tmp_path: Path):
 
 
 @pytest.mark.parametrize("options", ALL[:2])
-def test_derivative_by_kappa(options: Options):
-    """The derivative by κ is that of differences; controls in b are refused."""
+def test_derivatives(options: Options):
+    """The derivatives by κ and by numbers in b are those of differences, and so is the change of the solution."""
     square = build_domain(COMM, "square", 0.3, mesh="structured")
-    k = fem.Constant(square.mesh, 1.5)
-    problem = Diffusion(f=1, kappa=k, b=B, conditions=[Signorini("bottom", psi=-0.05)])
-    values = []
-    for number in (1.5 + 1e-5, 1.5 - 1e-5, 1.5):
-        k.value = number
-        solution = solve(square, problem, options)
-        J = solution.u**2 * ufl.dx + ufl.inner(solution.sigma, solution.sigma) * ufl.dx
-        values.append(solution.spaces.integrate(J))
-    gradient = solution.gradient(J, [k])[1][0]
-    assert gradient == pytest.approx((values[0] - values[1]) / 2e-5, rel=1e-6)
-    with pytest.raises(InputError, match="given flux b in UFL"):
-        solve(square, Diffusion(f=k, b=ufl.as_vector([k, 0 * k]))).gradient(J, [k])
+    k, a = fem.Constant(square.mesh, 1.5), fem.Constant(square.mesh, 0.4)
+    x = ufl.SpatialCoordinate(square.mesh)
+    b = ufl.as_vector([a * x[1] ** 2, 0.3 - a * a])
+    problem = Diffusion(f=1, kappa=k, b=b, conditions=[Signorini("bottom", psi=-0.05)])
+
+    def solved(by: tuple[float, float] = (0.0, 0.0)) -> Solution:
+        k.value, a.value = 1.5 + by[0], 0.4 + by[1]
+        return solve(square, problem, options)
+
+    def functional(solution: Solution) -> ufl.Form:
+        return solution.u**2 * ufl.dx + ufl.inner(solution.sigma, solution.sigma) * ufl.dx
+
+    steps = np.array([(1e-5, 0), (0, 1e-5)])
+    values = [[each.spaces.integrate(functional(each)) for each in map(solved, (by, -by))] for by in steps]
+    by_differences = [(one - other) / 2e-5 for one, other in values]
+    solution = solved()
+    assert solution.gradient(functional(solution), [k, a])[1] == pytest.approx(by_differences, rel=1e-6)
+    change = solution.derivative({a: 1.0})
+    far, near = (each.u.x.array for each in map(solved, (steps[1], -steps[1])))
+    assert change.u.x.array == pytest.approx((far - near) / 2e-5, abs=1e-8)
 
 
 def water_in_soil(form: str, soil: Soil) -> Diffusion:

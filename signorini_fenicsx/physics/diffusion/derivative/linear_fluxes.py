@@ -22,8 +22,9 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl import Form
+from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask, scaled
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
@@ -56,18 +57,24 @@ class LinearisedFluxes(HybridLinearised):
         return self.biactive & (chains.kinds == Condition.ROBIN).any(axis=1) & coupled.repeat(self._spaces.dim)
 
     def plain(self) -> Iterator[tuple[str, Seen]]:
-        """The moments of f, and κ and c in points of cells (collective)."""
+        """The moments of f, and κ, c and a given flux b in points of cells (collective)."""
         spaces, data = self._spaces, self._data
         for name, datum in (("kappa", data.kappa), ("c", data.c)):
             if datum.pieces is None:
-                degree = min(quadrature_degree(datum) + 2, DEGREES[1])
-                points, weights = basix.make_quadrature(SIMPLEX[spaces.dim], degree)
-                scale = spaces.cell_measures[:, None] * weights / weights.sum()
-                yield name, seen_in_points(spaces.mesh, datum.ufl, (points, weights), scale, degree)
+                yield name, self._in_quadrature(datum.ufl, quadrature_degree(datum))
         if data.f.pieces is None:
             dofs = np.take_along_axis(cell_dofs(spaces.scalar_space), spaces.order, axis=1).ravel()
             dx = ufl.dx(degree=quadrature_degree(data.f))
             yield "f", Seen(lambda v: data.f.ufl * v * dx, spaces.scalar_space, dofs, np.ones(len(dofs)))
+        if data.b is not None and (b := data.b.in_ufl) is not None:
+            yield "b", self._in_quadrature(b, data.degree_of(data.b))
+
+    def _in_quadrature(self, number: Expr, degree: int) -> Seen:
+        """A datum in the points that `data_points` has for this degree."""
+        degree = min(degree + 2, DEGREES[1])
+        points, weights = basix.make_quadrature(SIMPLEX[self._spaces.dim], degree)
+        scale = self._spaces.cell_measures[:, None] * weights / weights.sum()
+        return seen_in_points(self._spaces.mesh, number, (points, weights), scale, degree)
 
     def effects(self) -> Iterator[tuple[str, Effect]]:
         """What u_D and g_N make: values of û ("lift"), its right side ("load") (collective)."""
@@ -132,13 +139,21 @@ class LinearisedFluxes(HybridLinearised):
         for numbers, weights, hats, _ in self._in_points("c"):
             change = weights * changes["c"].reshape(len(moments), -1)[numbers]
             moments[numbers] -= np.einsum("nq,nqv,nqw,nw->nv", change, hats, hats, self._u[numbers], optimize=True)
-        for numbers, weights, hats, kappa in self._in_points("kappa"):
-            shapes, size, inverse = _quadratics(hats), kappa.shape[2:], np.linalg.inv(as_matrices(kappa, spaces.dim))
-            change = as_matrices(changes["kappa"].reshape(len(moments), -1, *size)[numbers], spaces.dim)
-            strain = inverse @ change @ inverse @ (shapes @ sigma[numbers] - self._b_at(numbers))[..., None]
-            at_nodes = np.einsum("nq,nqa,nqi->nai", weights, shapes, strain[..., 0], optimize=True)
+
+        def add(numbers: npt.NDArray[np.int32], weights: Array, hats: Array, strain: Array) -> None:
+            """Add the products with the basis of what replaces κ⁻¹σ in points."""
+            at_nodes = np.einsum("nq,nqa,nqi->nai", weights, _quadratics(hats), strain, optimize=True)
             pulled = at_nodes @ Cells(spaces.vertices[numbers]).map
-            functional[numbers] = np.tensordot(pulled, element.at_nodes, ((1, 2), (0, 1)))
+            functional[numbers] += np.tensordot(pulled, element.at_nodes, ((1, 2), (0, 1)))
+
+        for numbers, weights, hats, kappa in self._in_points("kappa"):
+            size, inverse = kappa.shape[2:], np.linalg.inv(as_matrices(kappa, spaces.dim))
+            change = as_matrices(changes["kappa"].reshape(len(moments), -1, *size)[numbers], spaces.dim)
+            driving = _quadratics(hats) @ sigma[numbers] - self._b_at(numbers)
+            add(numbers, weights, hats, (inverse @ change @ inverse @ driving[..., None])[..., 0])
+        for numbers, weights, hats, kappa in self._in_points("b"):
+            change = changes["b"].reshape(len(moments), -1, spaces.dim)[numbers]
+            add(numbers, weights, hats, scaled(np.linalg.inv(as_matrices(kappa, spaces.dim)), change))
         return functional, moments
 
     def by(self, J: Form, besides: None) -> dict[str, Array]:
@@ -160,7 +175,7 @@ class LinearisedFluxes(HybridLinearised):
 
     def _by_cells(self, sigma: Array, u: Array) -> dict[str, Array]:
         """The derivatives by κ and c in the points of their quadratures, from the adjoint state (collective)."""
-        by = {name: [np.empty(0)] for name in ("kappa", "c") if name in self.seen}
+        by = {name: [np.empty(0)] for name in ("kappa", "c", "b") if name in self.seen}
         for numbers, weights, hats, _ in self._in_points("c"):
             values = np.einsum("nqv,nv->nq", hats, u[numbers]) * np.einsum("nqv,nv->nq", hats, self._u[numbers])
             by["c"].append((weights * values).ravel())
@@ -171,6 +186,9 @@ class LinearisedFluxes(HybridLinearised):
             adjoint = np.einsum("nqji,nqj->nqi", inverse, shapes @ sigma[numbers])
             entries = "nq,nqi,nqj->nqij" if self._data.kappa.shape else "nq,nqi,nqi->nq"
             by["kappa"].append(np.einsum(entries, weights, adjoint, strain).ravel())
+        for numbers, weights, hats, kappa in self._in_points("b"):
+            inverse = np.linalg.inv(as_matrices(kappa, self._spaces.dim))
+            by["b"].append((weights[..., None] * scaled(inverse, _quadratics(hats) @ sigma[numbers])).ravel())
         return {name: np.concatenate(blocks) for name, blocks in by.items()}
 
     def _b_at(self, numbers: npt.NDArray[np.int32]) -> Array | float:
@@ -184,17 +202,19 @@ class LinearisedFluxes(HybridLinearised):
         return self._spaces.scalar_values(self._solution.u)
 
     def _in_points(self, name: str) -> Iterator[tuple[npt.NDArray[np.int32], Array, Array, Array]]:
-        """The cells, block by block, where κ or c is seen in points (collective).
+        """The cells, block by block, where κ, c or b is seen in points (collective).
 
         Yields:
             Their numbers; the weights of the points, shape (cells, points); the hats there, shape (cells, points,
-            d + 1); and the datum there.
+            d + 1); and the datum there, for b κ.
         """
         if name not in self.seen:
             return
-        spaces, datum = self._spaces, getattr(self._data, name)
+        spaces, data = self._spaces, self._data
+        datum = data.kappa if name == "b" else getattr(data, name)
+        degree = data.degree_of(data.b) if name == "b" else quadrature_degree(datum)
         for numbers in blocks_of_cells(spaces.mesh):
-            points = data_points(spaces, numbers, quadrature_degree(datum))
+            points = data_points(spaces, numbers, degree)
             weights = spaces.cell_measures[numbers, None] * points.weights / points.weights.sum()
             hats = hats_in(spaces, numbers, points).transpose(1, 0, 2)
             yield numbers, weights, hats, datum.values(points)

@@ -9,7 +9,7 @@ p = value on vertical segments, σ·n = g_h on Γ_N, and a term −(s, v) or u_T
 symmetric. So the change with the data and the adjoint state (λ_σ, λ_u, λ_p), B(·, λ) = dJ for all that is homogeneous,
 are solutions of one system, see `facet_system.Loads`, and
 
-    dJ = −(d(κ_h⁻¹)(σ − b), λ_σ) + ⟨du_D, λ_σ·n⟩ + (dc_h u − df_h, λ_u) + ⟨dβ p − dvalue, λ_p⟩
+    dJ = −(d(κ_h⁻¹)(σ − b), λ_σ) + (κ_h⁻¹db, λ_σ) + ⟨du_D, λ_σ·n⟩ + (dc_h u − df_h, λ_u) + ⟨dβ p − dvalue, λ_p⟩
          + ⟨dvalue, J_p + λ_σ·n⟩ on vertical segments − ⟨dg_h, λ̂⟩ on Γ_N,
 
 with λ̂ the trace of λ_u on a facet. In a cell that a law holds the factor of dvalue is J_u − ∇·λ_σ.
@@ -72,7 +72,7 @@ class LinearisedDiffusion(Linearised):
         return refused
 
     def plain(self) -> Iterator[tuple[str, Seen]]:
-        """The means of f, κ, c, u_D and g_N (collective)."""
+        """The means of f, κ, c, u_D and g_N, and (κ_h⁻¹b, τ_h) of a given flux (collective)."""
         spaces, data = self._spaces, self._data
         for name, datum in (("f", data.f), ("kappa", data.kappa), ("c", data.c)):
             if datum.pieces is None and not isinstance(datum, OnCells):
@@ -85,6 +85,9 @@ class LinearisedDiffusion(Linearised):
         if data.g_N.pieces is None:
             form = _on_facets(spaces, data.g_N, spaces.ds_neumann)
             yield "g_N", Seen(form, spaces.V, spaces.neumann_dofs, spaces.neumann_basis_flux)
+        if data.b is not None and (b := data.b.in_ufl) is not None:
+            every, dx = np.arange(spaces.V.dofmap.index_map.size_local, dtype=np.int32), ufl.dx(degree=data.b.degree)
+            yield "b", Seen(lambda v: flux_product(b, v, dx, data.kappa_h), spaces.V, every, np.ones(len(every)))
 
     def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
         """See `Linearised.lines`; of several laws in a cell a steep one says all (collective)."""
@@ -151,7 +154,9 @@ class LinearisedDiffusion(Linearised):
             kappa = data.kappa_h.copy()
             set_owned(kappa, changes["kappa"])
             flux.x.array[:] = -assembled(spaces.kept(_with_kappa, data.kappa_h, self._driving, kappa))
-            flux.x.scatter_forward()
+        if "b" in changes:
+            flux.x.array[: len(changes["b"])] += changes["b"]
+        flux.x.scatter_forward()
         traces.x.array[cells_and_dofs(space, spaces.dirichlet_facets)[1]] = changes.get("u_D", 0.0)
         forces[cells_and_dofs(space, spaces.neumann_facets)[1]] = changes.get("g_N", 0.0) * spaces.neumann_measure
         source = changes.get("f", 0.0) - changes.get("c", 0.0) * u
@@ -198,6 +203,8 @@ class LinearisedDiffusion(Linearised):
         if "kappa" in self.seen or data.quasilinear is not None:
             of_cells = -assembled(spaces.kept(_by_kappa, data.kappa_h, self._driving, of_sigma))
             by["kappa"] = of_cells[: len(u)] if data.quasilinear is not None else of_cells[self.seen["kappa"].dofs]
+        if "b" in self.seen:
+            by["b"] = of_sigma.x.array[self.seen["b"].dofs]
         if "u_D" in self.seen:
             by["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
             if of_traces is not None:
@@ -323,14 +330,11 @@ class LinearisedByU(LinearisedDiffusion):
 
 
 def check_differentiable(solution: Solution) -> None:
-    """Refuse laws with memory, and a given flux in UFL.
+    """Refuse laws with memory.
 
     Raises:
         InputError: If there is one.
     """
-    b = solution.data.b
-    if b is not None and any(component.pieces is None for component in b.components):
-        raise InputError("derivatives: there are none with a given flux b in UFL, or with numbers in it as controls")
     if any(isinstance(law, LawWithMemory) for law in solution.problem.laws):
         raise InputError("derivatives: there are none with laws with memory")
 

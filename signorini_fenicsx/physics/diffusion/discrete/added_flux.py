@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
@@ -53,6 +54,12 @@ class AddedFlux:
     def degree(self) -> int:
         """Degree of a quadrature for it times linear functions."""
         return quadrature_degree(*self.components) + 1
+
+    @property
+    def in_ufl(self) -> Expr | None:
+        """It in UFL, if it was given so and can have controls."""
+        given = not self.by_kappa and any(each.pieces is None for each in self.components)
+        return ufl.as_vector([each.ufl for each in self.components]) if given else None
 
     def _values(self, points: Points) -> Array:
         return np.stack([each.values(points) for each in self.components], axis=2)
