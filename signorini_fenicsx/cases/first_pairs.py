@@ -1,6 +1,7 @@
 """Which parts of bodies that share no nodes are near one another and face each other, for a first case."""
 
 import itertools
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ NEAR = 0.1
 """Of the diameter of the smaller body: what is farther away is not near."""
 FARTHER = 0.01
 """Of it: by how much other parts of two bodies may be farther from each other than the nearest ones."""
+SAME = 1e-9
+"""Distances that differ by less than this share of the largest body are the same."""
 FACING = 0.02
 """At least this share of the smaller part faces the other one."""
 
@@ -39,7 +42,7 @@ class Facing:
 
 
 def facing(mesh: FileMesh) -> list[Facing]:
-    """Parts of different bodies that are near one another, the nearest first; each part is in one of them (rank 0).
+    """Parts of different bodies that are near one another, the nearest first; each facet is in one of them (rank 0).
 
     Args:
         mesh: That of the bodies, of one file or several.
@@ -52,20 +55,36 @@ def facing(mesh: FileMesh) -> list[Facing]:
     sizes = dict[frozenset[int], float]()
     for part, surface in surfaces.items():
         sizes[bodies_of[part]] = max(sizes.get(bodies_of[part], 0.0), _size(surface.corners))
+
+    def coarseness(part: str) -> tuple[float, int]:
+        return -float(f"{surfaces[part].balls[1].mean():.6g}"), len(mesh.parts[part])
+
     found = []
     for two in itertools.combinations(surfaces, 2):
         bodies = [bodies_of[part] for part in two]
         if not frozenset.intersection(*bodies):
             within = NEAR * min(sizes[body] for body in bodies)
-            found += _opposite(surfaces, sorted(two, key=lambda part: -surfaces[part].balls[1].mean()), within)
-    nearest, used, first = [], set[str](), dict[frozenset[frozenset[int]], float]()
-    for each in sorted(found, key=lambda each: (abs(each.least), -each.share)):
+            found += _opposite(surfaces, sorted(two, key=coarseness), within)
+    nearest, first = [], dict[frozenset[frozenset[int]], float]()
+    facets_of = {part: set(map(tuple, facets.tolist())) for part, facets in mesh.parts.items()}
+    used, least = set[tuple[int, ...]](), SAME * max(sizes.values())
+
+    def order(each: Facing) -> tuple[float, float, int]:
+        return round(abs(each.least) / least), -round(each.share, 9), _numbered(each.slave) + _numbered(each.master)
+
+    for each in sorted(found, key=order):
         bodies = [bodies_of[each.slave], bodies_of[each.master]]
         farther = abs(each.least) - first.setdefault(frozenset(bodies), abs(each.least))
-        if not {each.slave, each.master} & used and farther <= FARTHER * min(sizes[body] for body in bodies):
+        facets = facets_of[each.slave] | facets_of[each.master]  # which other parts may have too
+        if not facets & used and farther <= FARTHER * min(sizes[body] for body in bodies):
             nearest.append(each)
-            used |= {each.slave, each.master}
+            used |= facets
     return nearest
+
+
+def _numbered(part: str) -> bool:
+    """Whether a part has a name such as those that programs give, Line7."""
+    return re.fullmatch(r"[A-Za-z]+\d+", part) is not None
 
 
 def _opposite(surfaces: dict[str, Surface], two: list[str], within: float) -> list[Facing]:

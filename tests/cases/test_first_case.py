@@ -80,12 +80,12 @@ def test_parts_of_bodies_that_face_each_other_are_pairs(tmp_path: Path, physics:
 
 
 def test_bodies_of_one_file_are_paired(tmp_path: Path):
-    """Two rectangles of one file that share no nodes, as solids of one drawing do."""
+    """Two rectangles of one file that share no nodes, as solids of one drawing do; a name is better than a number."""
     (tmp_path / "two.geo").write_text(
         'SetFactory("OpenCASCADE"); Rectangle(1) = {0, 0, 0, 1, 0.5}; Rectangle(2) = {0, 0.5, 0, 1, 0.5};\n'
         'Physical Surface("soft") = {1}; Physical Surface("hard") = {2};\n'
         'Physical Curve("ground") = {1}; Physical Curve("below") = {3}; Physical Curve("above") = {5};\n'
-        "MeshSize{:} = 0.5;\n"
+        'Physical Curve("Line3") = {3}; Physical Curve("Line5") = {5}; MeshSize{:} = 0.5;\n'
     )
     assert signorini(tmp_path, "init", "mine.toml", "--mesh", "two.geo", "--on", "below=wall").returncode == 0
     (pair,) = load_case(tmp_path / "mine.toml").pair
