@@ -23,7 +23,7 @@ from signorini_fenicsx.meshes.memory import BYTES_PER_FACET
 from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import depends_on_u
 from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
-from signorini_fenicsx.physics.diffusion.problem import Problem, laws_of, of_u
+from signorini_fenicsx.physics.diffusion.problem import NO_RT0, Problem, laws_of, of_u
 from signorini_fenicsx.physics.diffusion.soil_section import SoilTexts, kappa_of
 from signorini_fenicsx.physics.diffusion.soils import FORMS
 from signorini_fenicsx.solving.evolution import SCHEMES
@@ -206,6 +206,8 @@ class Case(WithPairs):
             raise ValueError(f"[problem] form: '{self.problem.form}' is for soils, see [soil]")
         if self.problem.form != FORMS[0] and self.problem.b is not None:
             raise ValueError("[problem] b: with the form 'pressure' gravity is the given flux; leave out b")
+        if self.pair and self.solve.element == "RT0":
+            raise ValueError(f"[solve] {NO_RT0}")
         if self.soil and self.time is not None and self.time.capacity is not None:
             raise ValueError("[soil]: says what is stored; leave out [time] capacity")
         if EVERYWHERE in self.soil and len(self.soil) > 1:

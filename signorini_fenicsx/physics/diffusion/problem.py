@@ -24,6 +24,10 @@ from signorini_fenicsx.physics.diffusion.soils import FORMS
 
 NO_DATA = ("laws", "boundary", "form")
 """The fields of a `Problem` that are no data."""
+NO_RT0 = (
+    "element: pairs of surfaces take RT1, as RT0 is constant on facets and would not be exact for a u that is linear; "
+    "take RT1, or leave out the element"
+)
 
 if TYPE_CHECKING:
     from signorini_fenicsx.physics.diffusion.solution import Solution

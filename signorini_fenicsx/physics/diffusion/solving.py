@@ -32,7 +32,7 @@ from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces, build_spaces, linear_spaces
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
-from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.problem import NO_RT0, Problem
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.soil_steps import SoilSteps
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -85,10 +85,7 @@ class System:
             InputError: If another one was asked for pairs.
         """
         if self.boundary.pairs and options.element == "RT0":
-            raise InputError(
-                "element: pairs of surfaces take RT1, as RT0 is constant on facets and would not be exact for a u that "
-                "is linear; take RT1, or leave out the element"
-            )
+            raise InputError(NO_RT0)
         return options.element == "RT1" or len(self.boundary.pairs) > 0
 
     def prepared(self, problem: Problem, wish: Wish) -> "DiffusionRun":
