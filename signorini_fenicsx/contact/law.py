@@ -240,10 +240,8 @@ class Film(LawWithMemory):
     on the film when the metal below is at 0. A step is one of implicit Euler, u = r q (h + τk (q − j)₊) with the h
     before: a line up to q = j, vertical on bare metal, then a parabola.
 
-    Usage: `Film("body", r=1e6, k=1e-4, j=0.5)`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Film("body", r=1e6, k=1e-4, j=0.5)`.
         r: Resistance of the film per thickness, > 0.
         k: What the thickness grows by per charge, ≥ 0.
         j: The current below which nothing is deposited, ≥ 0.

@@ -68,10 +68,8 @@ class Neumann(Law):
 class Signorini(Law):
     """u ≥ ψ and κ∇u·n ≥ q_S, one of them equal.
 
-    Usage: `Signorini("bottom", psi="0.1*x")`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Signorini("bottom", psi="0.1*x")`.
         psi: ψ, continuous.
         q_S: q_S.
     """
@@ -93,10 +91,8 @@ class Signorini(Law):
 class Friction(Law):
     """|κ∇u·n| ≤ g; u = 0 where it is less, κ∇u·n = −g where u > 0, g where u < 0 (Tresca).
 
-    Usage: `Friction("right", g="0.2*y")`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Friction("right", g="0.2*y")`.
         g: g ≥ 0.
     """
 
@@ -119,10 +115,8 @@ class Friction(Law):
 class TwoSided(Law):
     """ψ ≤ u ≤ ψ_upper; κ∇u·n = q_S where u is in between, ≥ q_S where u = ψ, ≤ q_S where u = ψ_upper.
 
-    Usage: `TwoSided("bottom", psi_upper=1, psi=-1)`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `TwoSided("bottom", psi_upper=1, psi=-1)`.
         psi_upper: ψ_upper ≥ ψ, continuous.
         psi: ψ, continuous.
         q_S: q_S.
@@ -150,10 +144,8 @@ class TwoSided(Law):
 class Wall(Law):
     """κ∇u·n = β [level − u]_+: a thick wall that lets through what flows inwards only.
 
-    Usage: `Wall("left", beta=2, level="20 - y")`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Wall("left", beta=2, level="20 - y")`.
         beta: β ≥ 0.
         level: Level outside.
     """
@@ -180,10 +172,8 @@ class Wall(Law):
 class Regulator(Law):
     """κ∇u·n = −k (u − a), cut off at g_low and g_high: a regulator of temperature.
 
-    Usage: `Regulator("top", k=5, g_low=-1, g_high=1, a=20)`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Regulator("top", k=5, g_low=-1, g_high=1, a=20)`.
         k: k > 0.
         g_low: Least κ∇u·n.
         g_high: Largest κ∇u·n.
@@ -218,10 +208,8 @@ class Seepage(Law):
 
     κ∇u·n is what flows in. Below the level all rain flows in; at the level water may leave.
 
-    Usage: `Seepage("slope", rain=1e-8, level="y")`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Seepage("slope", rain=1e-8, level="y")`.
         rain: What falls on the surface, per area and time; evaporation where it is negative.
         level: The largest u: 0 for a pressure head, the height of the surface for a head; continuous.
     """
@@ -245,10 +233,8 @@ class River(Law):
 
     κ∇u·n is what flows in: out of a river through a bed that leaks, cut where the head falls below the bed.
 
-    Usage: `River("bed", r=0.1, level=12, bed=10)`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `River("bed", r=0.1, level=12, bed=10)`.
         r: Conductance of the bed per area, > 0.
         level: Level of the river.
         bed: Height of its bed, at most the level.
@@ -279,10 +265,8 @@ class River(Law):
 class Obstacle(Law):
     """ψ ≤ u ≤ ψ_upper in a region: s = 0 where u is in between, ≤ 0 where u = ψ, ≥ 0 where u = ψ_upper.
 
-    Usage: `Obstacle(region="all", psi="0.1 - x^2")`.
-
     Attributes:
-        parts: Left out; `region` is in its place.
+        parts: Left out; `region` is in its place, as in `Obstacle(region="all", psi="0.1 - x^2")`.
         psi: ψ, continuous; None for no lower bound.
         psi_upper: ψ_upper, continuous; None for no upper bound. One of both is given.
     """
@@ -330,10 +314,8 @@ class Obstacle(Law):
 class Reaction(Law):
     """s = cu in a region.
 
-    Usage: `Reaction(region="core", c=2)`.
-
     Attributes:
-        parts: Left out; `region` is in its place.
+        parts: Left out; `region` is in its place, as in `Reaction(region="core", c=2)`.
         c: c ≥ 0.
     """
 
@@ -352,10 +334,8 @@ class Reaction(Law):
 class Corners(Law):
     """A graph by its corners.
 
-    Usage: `Corners("left", [(0, 1), (1, 0)], before="vertical")`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Corners("left", [(0, 1), (1, 0)], before="vertical")`.
         corners: Pairs of u and κ∇u·n, u ascending and κ∇u·n descending; in regions pairs of u and s, both ascending.
         before: How steeply κ∇u·n falls, or s grows, before the first corner, a number ≥ 0; "vertical" if u cannot be
             less.

@@ -55,10 +55,8 @@ class Closed(Law):
 class Tresca:
     """Friction by Tresca's law, |σ_t| ≤ g.
 
-    Usage: `Contact("bottom", friction=Tresca(0.1))`.
-
     Attributes:
-        g: g ≥ 0.
+        g: g ≥ 0, as in `Contact("bottom", friction=Tresca(0.1))`.
     """
 
     g: Given
@@ -72,10 +70,8 @@ class Tresca:
 class Coulomb:
     """Friction by Coulomb's law, |σ_t| ≤ g − μ σ_nn.
 
-    Usage: `Contact("fault", friction=Coulomb(0.6, g=1e5))`.
-
     Attributes:
-        mu: μ ≥ 0.
+        mu: μ ≥ 0, as in `Contact("fault", friction=Coulomb(0.6, g=1e5))`.
         g: What adhesion holds without pressure, g ≥ 0.
     """
 
@@ -124,10 +120,8 @@ class JointSprings(OnParts):
 class Contact(OnParts):
     """Contact with a rigid foundation: u_n ≤ gap, σ_nn ≤ 0, one of them equal.
 
-    Usage: `Contact("bottom", gap="0.1*x^2")`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Contact("bottom", gap="0.1*x^2")`.
         gap: The distance to the foundation along the outer normal.
         surface: A file with a mesh of the surface of the foundation, such as STL, in the plane of a line. The gap is
             then the distance to it along the normal, and `gap` more.

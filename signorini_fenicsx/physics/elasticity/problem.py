@@ -68,10 +68,8 @@ class PlaneState(StrEnum):
 class Pressure(OnParts):
     """A pressure is given, the traction σn = −value n.
 
-    Usage: `Pressure("inside", "1 - y")`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Pressure("inside", "1 - y")`.
         value: The pressure.
     """
 
@@ -82,10 +80,8 @@ class Pressure(OnParts):
 class Support(OnParts):
     """Springs hold the body, the traction σn = −Ku. With a load on the same part it is what acts besides.
 
-    Usage: `Support("foot", [10, 5])`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Support("foot", [10, 5])`.
         stiffness: K per area: a number, [along n, across n], or a symmetric matrix.
     """
 

@@ -38,10 +38,8 @@ IN_EXCESS = "[problem] u_D: where u_n is given"
 class Outflow(Law):
     """u_n ≥ least and σ_nn ≥ −pressure, one of them equal: an outlet through which nothing is sucked in.
 
-    Usage: `Outflow("right", pressure=0.1)`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Outflow("right", pressure=0.1)`.
         least: The least velocity out of the domain.
         pressure: That outside.
         tangential: "free" for σ_t = 0, "held" for u_t = 0.
@@ -74,10 +72,8 @@ class Outflow(Law):
 class Leak(Law):
     """u_t = 0 and |σ_nn| ≤ g; u_n = 0 where it is less, σ_nn = −g where u_n > 0, g where u_n < 0: a wall that leaks.
 
-    Usage: `Leak("wall", g=0.5)`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Leak("wall", g=0.5)`.
         g: g ≥ 0.
     """
 
@@ -95,10 +91,8 @@ class Slip(OnParts):
 
     A wall on which fluid may slip, which moves along itself with w.
 
-    Usage: `Slip("bottom", g=0.1)`.
-
     Attributes:
-        parts: Name of a part, or a list of names.
+        parts: Name of a part, or a list of names, as in `Slip("bottom", g=0.1)`.
         g: g ≥ 0; with 0 and β = 0 the wall is smooth.
         beta: β ≥ 0, a number: Navier's slip, with g = 0.
         velocity: w, linear, of which the part along the wall counts; None for 0.
