@@ -68,18 +68,18 @@ def evaporation(soil: VanGenuchten) -> float:
 
 
 def by_linear_elements(soil: VanGenuchten) -> float:
-    """The q/K of linear elements with the mean of κ at their nodes, as many as the column has layers.
+    """The q/K of linear elements with the mean of κ at their nodes, two for each layer, whose squares are cut crosswise.
 
     From the bottom up each element gives the pressure head of its upper node, found by halving, for many q at once.
     """
-    low, high, dz = -28.0, 0.0, HEIGHT / CELLS
+    low, high, dz = -28.0, 0.0, HEIGHT / CELLS / 2
 
     def k_r(psi: np.ndarray) -> np.ndarray:
         return np.asarray(soil(np.zeros((len(psi), 1)), psi)[0] / soil.K)
 
     for _ in range(3):
         log_q, psi = np.linspace(low, high, 60), np.zeros(60)
-        for _ in range(CELLS):
+        for _ in range(2 * CELLS):
             above, below, before = psi, np.full(60, -2 * SUCTION), k_r(psi)
             for _ in range(40):
                 middle = (above + below) / 2
