@@ -68,7 +68,7 @@ def evaporation(soil: VanGenuchten) -> float:
 
 
 def by_linear_elements(soil: VanGenuchten) -> float:
-    """The q/K of linear elements with the mean of κ at their nodes, two for each layer, whose squares are cut crosswise.
+    """The q/K of linear elements with the mean of κ at their nodes, two for each layer: its squares are cut crosswise.
 
     From the bottom up each element gives the pressure head of its upper node, found by halving, for many q at once.
     """
