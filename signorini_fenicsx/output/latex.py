@@ -23,7 +23,7 @@ NAMES = {
 
 def write_latex(path: Path, rows: Sequence[ErrorRow]) -> None:
     """Write errors and their orders, a row for each mesh or ε (rank 0)."""
-    names = [name for name in rows[0].errors if any(row.errors[name] is not None for row in rows)]
+    names = [name for name in rows[0].errors if any(row.errors[name] for row in rows)]  # p has none without Γ_S
     with_eps = any(row.eps is not None for row in rows)
     heads = ["$h$", *([r"$\varepsilon$"] if with_eps else []), "cells", "iterations"]
     for name in names:
