@@ -272,6 +272,24 @@ class Scene:
         return replace(self, fields=replace(self.fields, points=points), given=over)
 
 
+def sizes(values: Array) -> Array:
+    """Numbers, of vectors their lengths."""
+    return values if values.ndim == 1 else np.linalg.norm(values, axis=1)
+
+
+def scale_on_gamma(panel: Panel, scenes: Sequence[Scene]) -> tuple[float, float, str]:
+    """Colour limits for a column of tables, and the ends of the colour bar to extend; facets with NaN do not count.
+
+    Those of lengths of vectors, and of what has a peak, begin at 0.
+    """
+    columns = [scene.on_facets(panel.what) for scene in scenes]
+    values, measure = np.concatenate([sizes(each) for each in columns]), [scene.facets.measure for scene in scenes]
+    finite = np.isfinite(values)
+    least = 0.0 if panel.peak or columns[0].ndim > 1 else values[finite].min()
+    low, high, extend = style.limits(values[finite] - least, np.concatenate(measure)[finite])
+    return 0.0 if least == 0 else low + least, high + least, extend
+
+
 def gathered_scene(
     solution: Solved,
     certificate: Certificate | None = None,

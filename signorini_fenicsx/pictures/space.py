@@ -25,7 +25,7 @@ from signorini_fenicsx.pictures.curves import draw_steps, moves
 from signorini_fenicsx.pictures.cuts import VIEWS, Cut, best_cuts, best_view, outward, seen_from
 from signorini_fenicsx.pictures.geometry import creases
 from signorini_fenicsx.pictures.panels import Overlay, Panel, Where, named_colours
-from signorini_fenicsx.pictures.plane import log_norm
+from signorini_fenicsx.pictures.plane import levels_between, log_norm
 from signorini_fenicsx.pictures.rendering import (
     arrow_heads,
     arrows_on,
@@ -37,7 +37,7 @@ from signorini_fenicsx.pictures.rendering import (
     surface_of,
     triad,
 )
-from signorini_fenicsx.pictures.scene import Scene
+from signorini_fenicsx.pictures.scene import Scene, scale_on_gamma, sizes
 from signorini_fenicsx.pictures.sheet import Sheet
 
 PIXELS = 700
@@ -220,12 +220,13 @@ class Space:
         where, cut, near = panel.where, None, panel.where is Where.GAMMA and self.is_small
         ends = 0.0, 1.0, "neither"
         if where is Where.GAMMA:
-            ends = _scale(panel, scenes or [self.scene])
+            ends = scale_on_gamma(panel, scenes or [self.scene])
             title = f"{title}{'' if scenes else f' on {self.scene.gamma}'}{', enlarged' * near}"
             if panel.peak:
                 title += f", at most {getattr(self.scene.sites, panel.what).max():.4g}"
         elif where is not Where.SETS:
-            view, ends = self.views[0], panel.ends or (float(panel.what.min()), float(panel.what.max()), "neither")
+            seen = panel.what if where not in CUTS or panel.in_cells else self._on_cuts(panel)
+            view, ends = self.views[0], panel.ends or (float(seen.min()), float(seen.max()), "neither")
         norm = log_norm(np.minimum(panel.what, ends[1])) if panel.log else Normalize(*ends[:2])
         if where in CUTS:
             cut = self.cuts[where is Where.ACROSS]
@@ -245,7 +246,7 @@ class Space:
             self._add_hull(plotter)
         elif panel.where is Where.GAMMA:
             values = self.scene.on_facets(panel.what)
-            plotter.add_mesh(self.gamma, scalars=_sizes(values), nan_color=HULL, **look, **self._edges())
+            plotter.add_mesh(self.gamma, scalars=sizes(values), nan_color=HULL, **look, **self._edges())
             self._add_arrows(plotter, values, STILL * look["clim"][1], view)
             self._add_hull(plotter)
         elif panel.where is Where.STREAMS:
@@ -265,9 +266,11 @@ class Space:
         elif cut is not None and panel.in_cells:
             self._add_half(plotter, panel, cut, look)
         elif cut is not None:
-            section = self.with_values(panel).slice(cut.normal, origin=cut.origin)
+            section, levels = self.with_values(panel).slice(cut.normal, origin=cut.origin), list(panel.levels)
             plotter.add_mesh(section, scalars="values", **look)
-            if len(panel.levels) and (lines := section.contour(list(panel.levels), scalars="values")).n_points:
+            if levels and not self.scene.plot.levels:  # those of the whole domain may be beyond what is seen
+                levels = levels_between(norm.vmin, norm.vmax)
+            if levels and (lines := section.contour(levels, scalars="values")).n_points:
                 self._add_lines(plotter, lines, view, "white", 1.5)
             self._add_shell_of(plotter, cut)
 
@@ -279,6 +282,12 @@ class Space:
         rim = self.rim.clip(cut.normal, origin=cut.origin) if self.rim.n_cells else self.rim
         if rim.n_cells:
             self._add_lines(plotter, rim, cut.view, style.CONTACT, 4)
+
+    def _on_cuts(self, panel: Panel) -> Array:
+        """The values of a panel on both cuts."""
+        grid = self.with_values(panel)
+        sections = (grid.slice(cut.normal, origin=cut.origin) for cut in self.cuts)
+        return np.concatenate([np.asarray(each["values"]) for each in sections])
 
     def with_values(self, panel: Panel) -> pyvista.UnstructuredGrid:
         """The mesh with the values of a panel at its points."""
@@ -424,24 +433,6 @@ class Space:
             image = plotter.screenshot(return_img=True)
             plotter.close()
         return cropped(image)
-
-
-def _sizes(values: Array) -> Array:
-    """Numbers, of vectors their lengths."""
-    return values if values.ndim == 1 else np.linalg.norm(values, axis=1)
-
-
-def _scale(panel: Panel, scenes: Sequence[Scene]) -> tuple[float, float, str]:
-    """Colour limits for a column of tables, and the ends of the colour bar to extend; facets with NaN do not count.
-
-    Those of lengths of vectors, and of what has a peak, begin at 0.
-    """
-    columns = [scene.on_facets(panel.what) for scene in scenes]
-    values, measure = np.concatenate([_sizes(each) for each in columns]), [scene.facets.measure for scene in scenes]
-    finite = np.isfinite(values)
-    least = 0.0 if panel.peak or columns[0].ndim > 1 else values[finite].min()
-    low, high, extend = style.limits(values[finite] - least, np.concatenate(measure)[finite])
-    return 0.0 if least == 0 else low + least, high + least, extend
 
 
 def _pale(colour: str) -> tuple[float, ...]:

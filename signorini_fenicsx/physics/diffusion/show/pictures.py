@@ -73,7 +73,10 @@ def _u(scene: Scene, water: Pools | None) -> Panel:
 
 def _streams(scene: Scene, water: Pools | None) -> Panel:
     """Streamlines of the physical flux, coloured by its length; those of Baiocchi's dam by the head."""
-    fields, label = scene.fields, scene.plot.flux_label
+    fields, named = scene.fields, bool(scene.plot.flux or water is not None)
+    label = scene.plot.flux_label
+    if water is not None and not scene.plot.flux:
+        label = with_unit("Darcy velocity", scene.plot.flux_unit)
     title = f"streamlines of {scene.plot.flux_name if water is None else 'the water'}"
     strength = np.linalg.norm(fields.at_points["sigma"], axis=1)
     in_cells = np.linalg.norm(fields.in_cells["sigma"], axis=1)
@@ -85,7 +88,7 @@ def _streams(scene: Scene, water: Pools | None) -> Panel:
         head = _u(scene, water)
         return replace(head, where=Where.STREAMS, title=title, levels=(), lines=water_lines(fields))
     lines = streamlines(fields, sign_of(scene) * of_means(fields))
-    title = title if scene.plot.flux else f"{title} on {label}"
+    title = title if named else f"{title} on {label}"
     return replace(streams, lines=lines, title=title, colours=style.FLUX_MAP)
 
 
