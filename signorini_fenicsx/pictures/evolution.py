@@ -134,7 +134,7 @@ def _draw_views(
     )
     for row, (view, panel) in enumerate(rows):
         for column, (space, step) in enumerate(zip(spaces, steps, strict=True)):
-            title = f"{panel.title}, $t = {style.power(times[step])}$"
+            title = f"{panel.title}, $t = {style.decimal(times[step])}$"
             space.draw(panel, sheet, (row, column), title, view, shown)
     columns = [panel.what for panel in panels if panel.where is Where.GAMMA]
     rim = any(len(each.rim.lines) > 0 for each in spaces) and bool(columns)
@@ -219,7 +219,7 @@ def animate(path: Path, scene: Scene, steps: DrawnSteps, fields: Mapping[int, Ar
         for group in groups[step]:
             of_facets[group.facets] = to_rgb(group.colour)
         line.set_color(of_facets)
-        axes.set_title(f"$t = {style.power(steps.times[step - 1])}$")
+        axes.set_title(f"$t = {style.decimal(steps.times[step - 1])}$")
         canvas.draw()
         pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("P", palette=Image.Palette.ADAPTIVE))
     duration = 1000 * min(SECONDS / len(pictures), SLOW)

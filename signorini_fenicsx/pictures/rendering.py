@@ -12,6 +12,8 @@ from matplotlib.axes import Axes
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.pictures.scene import Scene
 
+MARGIN = 0.06
+"""Around what is enlarged, of the width of the image."""
 ARROWS = 50
 """Arrows on Γ_S are drawn on about this many facets; more would be too small to be seen."""
 STREAMLINES = 70
@@ -47,6 +49,18 @@ def go_near(camera: pyvista.Camera, points: Array, view: Array) -> None:
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     radius = np.linalg.norm(points - middle, axis=1).max()
     camera.focal_point, camera.position, camera.parallel_scale = middle, middle + 3 * radius * view, radius
+
+
+def cropped_near(image: npt.NDArray[np.uint8], points: Array, view: Array) -> npt.NDArray[np.uint8]:
+    """The square image that `go_near` makes without what is farther from the points than some margin."""
+    points = points.reshape(-1, 3)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    radius = np.linalg.norm(points - middle, axis=1).max()
+    across, up = screen(view)
+    places = (points - middle) @ np.column_stack([across, -up]) / (2 * radius) + 0.5
+    low, high = (places.min(axis=0) - MARGIN) * len(image), (places.max(axis=0) + MARGIN) * len(image)
+    (left, top), (right, bottom) = np.maximum(low, 0).astype(int), np.ceil(high).astype(int)
+    return image[top:bottom, left:right]
 
 
 def cropped(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -30,6 +30,7 @@ from signorini_fenicsx.pictures.rendering import (
     arrow_heads,
     arrows_on,
     cropped,
+    cropped_near,
     go_near,
     lines_of,
     offscreen,
@@ -432,7 +433,8 @@ class Space:
             plotter.suppress_rendering = False
             image = plotter.screenshot(return_img=True)
             plotter.close()
-        return cropped(image)
+        on_gamma = self.scene.fields.points[self.scene.facets.vertices]
+        return cropped_near(image, on_gamma, view) if near else cropped(image)
 
 
 def _pale(colour: str) -> tuple[float, ...]:

@@ -44,8 +44,8 @@ DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
 """Mathematics in a line."""
 FLAT = 1e-3
 """Values that differ by less than this share of the largest have a scale from 0."""
-MIDDLE = 0.05
-"""Values whose median is less than this share of the usual largest one have a logarithmic scale."""
+MOST, SMALL = 0.75, 0.1
+"""Values have a logarithmic scale if this share of the domain has less than this share of the usual largest one."""
 QUANTILE = 0.99
 """The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
 
@@ -84,7 +84,7 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
 
 
 def spans_decades(values: Array, weights: Array) -> bool:
-    """Whether most of values that are not negative would have one colour on a scale up to the usual largest one.
+    """Whether most of values, which are not negative, would have one colour on a scale up to the usual largest one.
 
     Args:
         values: The values.
@@ -92,8 +92,8 @@ def spans_decades(values: Array, weights: Array) -> bool:
     """
     order = np.argsort(values)
     measure = np.cumsum(weights[order])
-    middle, usual = (values[order[np.searchsorted(measure, share * measure[-1])]] for share in (0.5, QUANTILE))
-    return bool(0 < middle < MIDDLE * usual)
+    most, usual = (values[order[np.searchsorted(measure, share * measure[-1])]] for share in (MOST, QUANTILE))
+    return bool(0 < most < SMALL * usual)
 
 
 def around_0(values: Array) -> tuple[float, float]:

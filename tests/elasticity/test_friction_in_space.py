@@ -354,7 +354,7 @@ def test_pictures_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert [name for name, _ in drawn] == ["forces.png", "contact.png"]
     sheet = drawn[1][1]
     views = [axes for axes in sheet.axes if axes.get_title()]
-    assert [axes.get_title().split(",")[1] for axes in views[:3]] == [" $t = 0.1$", " $t = 2^{-2}$", " $t = 1$"]
+    assert [axes.get_title().split(",")[1] for axes in views[:3]] == [" $t = 0.1$", " $t = 0.25$", " $t = 1$"]
     assert [axes.get_title().split()[0].strip(",") for axes in views[::3]] == ["pressure", "shear", "slip"]
     bars = [axes for axes in sheet.axes if axes not in views]
     limits = [axes.get_ylim() for axes in bars]

@@ -233,9 +233,10 @@ def test_scales_have_0_in_their_middle_or_at_an_end():
 def test_scales_of_decades():
     """They are for values most of which are small beside the usual largest one."""
     size = np.full(100, 0.01)
-    assert spans_decades(np.linspace(0.01, 1, 100) ** 6, size)
+    assert spans_decades(np.linspace(0.01, 1, 100) ** 9, size)
     assert not spans_decades(np.linspace(0.01, 1, 100), size)
     assert not spans_decades(np.zeros(100), size)
+    assert not spans_decades(np.repeat([1e-9, 1.0], [60, 40]), size)
 
 
 def test_a_slim_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
