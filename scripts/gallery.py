@@ -36,10 +36,10 @@ AS_SHIPPED = {"vauclin": "phreatic"}
 """Which picture is kept of cases that are drawn on their own mesh, as they are compared with measurements."""
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
 STRIP = {
-    "example2": (0.0825, 0.055, 0.452, 0.82),
+    "example2": (0.0715, 0.09, 0.4145, 0.8415),
     "dam": (0.105, 0.05, 0.87, 0.262),
     "hertz": (0.165, 0.175, 0.81, 0.855),
-    "ball": (0.06, 0.095, 0.396, 0.87),
+    "ball": (0.062, 0.135, 0.395, 0.842),
 }
 """Pictures of the strip, and which part of each, inside its axes: left, upper, right and lower edge."""
 STRIP_HEIGHT, GAP = 260, 20
