@@ -77,8 +77,8 @@ class EvolutionReport(CaseReport):
             lines["errors"] = f"at the end {named(summary['errors'], '.4e')}"
         if certified:
             lines["certified"] = (
-                f"each bound is that of the distance {about['largest']['bound_is'] or OWN}, with the computed earlier "
-                "steps" + _reservation(about["largest"])
+                f"each bound is that of the distance {about['largest']['bound_is'] or OWN}{last.after}"
+                + _reservation(about["largest"])
             )
         lines |= {name: f"at the end {interval(quantity)}" for name, quantity in quantities.items()}
         self.entries(lines)

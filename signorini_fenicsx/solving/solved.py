@@ -138,6 +138,11 @@ class Solved(ABC):
         return self.method.title
 
     @property
+    def after(self) -> str:
+        """What a step has from those before, in words that go on a sentence; empty for nothing."""
+        return ", with the computed earlier steps"
+
+    @property
     def boundary(self) -> Any:
         """The parts of each kind of boundary."""
         return self.problem.boundary

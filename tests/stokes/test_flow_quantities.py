@@ -18,6 +18,8 @@ from signorini_fenicsx.physics.elasticity.problem import Pressure
 from signorini_fenicsx.physics.stokes.problem import Outflow, Slip, Stokes
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
 from signorini_fenicsx.quantities import Dissipation, Flow, Flux, Force, Mean, MeanPressure, Quantity
+from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -70,6 +72,17 @@ def test_the_mean_pressure_where_a_wall_slips():
         assert narrow.width < 0.3 * wide.width
     in_space = solve(box(COMM, 1, [0.0] * 3, [0.5] * 3), Stokes(1, conditions=between_pressures(0.5, 3)))
     contains(in_space.quantity(MeanPressure()), 0.25, 0.2)
+
+
+def test_of_steps():
+    """What problems beside a step do is forgotten in the next one; both are guaranteed, for nothing is remembered."""
+    ends = [Pressure("x0", "1.4*t"), *(Dirichlet(part, 0, components="t") for part in ("x0", "x1"))]
+    problem = Stokes(0.7, conditions=[*ends, Slip("y1", g="0.1*t", beta=1)])
+    for instant in evolve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), problem, Evolution(end=1, steps=2)):
+        found = instant.solution.quantity(MeanPressure())
+        contains(found, 0.7 * instant.t, 1e-6)
+        assert found.value == pytest.approx(0.7 * instant.t, rel=1e-9)
+        assert instant.solution.after == ""
 
 
 def halves(n: int) -> Domain:

@@ -97,6 +97,11 @@ class ElasticSolution(Solution):
         """The problem and its method, in words."""
         return f"{'elastic contact' if self.contact_parts else 'elasticity'}, {self.options.algorithm_name}"
 
+    @property
+    def after(self) -> str:
+        """Friction alone remembers earlier steps."""
+        return super().after if self.data.friction else ""
+
     @cached_property
     def stresses(self) -> Array:
         """Values of σ_h at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d)."""

@@ -179,5 +179,5 @@ def _of_fluxes(solution: StokesSolution, kind: Any) -> Any:
     return of_bodies.Fluxes(solution, kind)
 
 
-QUANTITIES = replace(of_bodies.QUANTITIES, check=check, fluxes=_of_fluxes)
+QUANTITIES = replace(of_bodies.QUANTITIES, check=check, fluxes=_of_fluxes, named_for=lambda _: "")
 """The quantities that there are."""

@@ -36,6 +36,11 @@ class StokesSolution(ElasticSolution):
         """The problem and its method, in words."""
         return f"viscous flow, {self.options.algorithm_name}"
 
+    @property
+    def after(self) -> str:
+        """Nothing is remembered of earlier steps."""
+        return ""
+
     def own_notes(self) -> list[str]:
         """A velocity of any size is right: nothing is said."""
         return []

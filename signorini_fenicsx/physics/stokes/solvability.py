@@ -46,7 +46,7 @@ def check_flow(spaces: ElasticSpaces, data: ElasticData) -> None:
         share = np.einsum("ni,ni->n", axes, facets.outward[:, None] * facets.normals)
         along[facets.blocks] += share**2
         out[facets.blocks] += facets.measure * share * data.lift[spaces.unknowns(facets, k)].mean(axis=1)
-    for cells in blocks_of_cells(spaces.mesh) if data.material.own else ():
+    for cells in blocks_of_cells(spaces.mesh):
         np.add.at(sums[0], bodies[cells], -data.growth(spaces, cells))
     for facets in (spaces.dirichlet, spaces.neumann):
         given, of = along[facets.blocks] > 1 - GIVEN, bodies[facets.cells]

@@ -204,6 +204,8 @@ class ElasticData:
 
     def growth(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> Array:
         """∫ tr ε₀ over cells (collective)."""
+        if not self.material.own:
+            return np.zeros(len(cells))
         strains = self.strains(spaces, cells, Cells(spaces.vertices[cells]).measure)
         return np.asarray(strains[..., : spaces.dim].sum(axis=(1, 2, 3)))
 

@@ -87,8 +87,7 @@ class ElasticSystem(HybridSystem):
         self.load = self.load_of(self._blocks, data.lift) + self.tractions + self.of_supports(moving.ravel())
         if self.mean is not None:
             self.load -= self.pulls_of_means(self.mean.values)
-            if data.material.own:
-                self.mean.grown = np.concatenate([data.growth(spaces, cells) for cells in blocks_of_cells(spaces.mesh)])
+            self.mean.grown = np.concatenate([data.growth(spaces, cells) for cells in blocks_of_cells(spaces.mesh)])
         given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
         self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
 
