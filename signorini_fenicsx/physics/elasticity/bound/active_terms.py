@@ -13,7 +13,7 @@ admissible but for rounding, so it serves a bound whatever is left to gain.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -29,7 +29,8 @@ ENOUGH = 5e-4
 """The minimum is found if other sets would change it by about this share of itself at most: what each term that should
 change stores in a spring of the unit. That is less than it gains by a factor of about ten,"""
 IDLE = 0.01
-"""Sets of terms on pieces go on changing: two solves one after the other that gain less than this share are enough."""
+"""Sets of terms on pieces go on changing: two solves one after the other that gain less than this share are enough.
+One more with the same springs and the forces that they have reached leaves less of what they give way."""
 LEAST = 1e-16
 """or by this share of the scale of the minimum, which is rounding."""
 ACCURATE = 0.003
@@ -103,7 +104,7 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
         LinearSolveFailure: If the first solve fails; where a later one does, the best x so far is near enough.
     """
     comm, off = terms.comm, terms.along(x) - terms.bound
-    sets, changed, best = _Sets.of(terms, forces, off), True, terms.pushed(x)
+    sets, changed, precise, best = _Sets.of(terms, forces, off), True, False, terms.pushed(x)
     least, idle, pieces = _value(terms, best), 0, comm.allreduce(bool(terms.on_pieces.any()), MPI.LOR)
     for number in range(ROUNDS):
         if changed:
@@ -124,10 +125,14 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
         idle = idle + 1 if pieces and value > (1 - IDLE) * least else 0
         if value < least:
             least, best = value, inside
-        after, gain = sets.after(terms, sets.force + np.einsum("kij,kj->ki", springs, off), off)
+        reached = sets.force + np.einsum("kij,kj->ki", springs, off)
+        after, gain = sets.after(terms, reached, off)
         enough = max(ENOUGH * least, LEAST * terms.scale)
-        if idle == 2 or (gain <= enough and allowed <= 2 * ACCURATE * np.sqrt(2 * max(least, 0.0))):
-            break
+        if idle > 1 or precise or (gain <= enough and allowed <= 2 * ACCURATE * np.sqrt(2 * max(least, 0.0))):
+            if precise or not pieces:
+                break
+            sets, changed, precise = replace(sets, force=reached), False, True  # springs leave less
+            continue
         slips = off.shape[1] > 1 and bool((~after.held & ~terms.one_sided).any())
         changed = comm.allreduce(slips or bool((after.held != sets.held).any()), MPI.LOR)
         sets = after
