@@ -32,6 +32,27 @@ HEIGHT = 0.5
 """Height of a surface over the plane, relative to the shorter side of the domain."""
 BAR = {"len": 0.7, "thickness": 18}
 CAMERA = {"projection": {"type": "orthographic"}, "eye": {"x": 0.9, "y": -1.4, "z": 0.8}}
+PAGE = """<!doctype html>
+<html>
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+body {{margin: 0; font-family: sans-serif; text-align: center}}
+h1 {{font-size: 1.1rem; margin: 0.6rem 0.5rem 0.2rem}}
+p {{font-size: 0.8rem; margin: 0 0.5rem}}
+#drawn {{height: min(88vh, 115vw)}}
+</style>
+</head>
+<body>
+<h1>{title}</h1>
+<p>{caption}</p>
+<div id="drawn">{drawn}</div>
+</body>
+</html>
+"""
+"""The page, on which words break on narrow screens, where the picture is about as high as wide."""
 SYMBOLS = {
     r"\leq": "≤",
     r"\varepsilon": "ε",
@@ -62,19 +83,20 @@ def write_page(path: Path, scene: Scene) -> None:
         {"label": plain(title), "method": "restyle", "args": ["visible", [bool(n in (-1, number)) for n in owner]]}
         for number, title in enumerate(sheets)
     ]
-    text = f"{html.escape(printable(scene.title))}<br><sub>{plain(scene.caption)}</sub>"
     figure.update_layout(
-        title={"text": text, "x": 0.5, "y": 0.98, "yanchor": "top"},
         scene=page.axes() | {"camera": CAMERA},
         updatemenus=[
             {"type": "buttons", "direction": "right", "buttons": buttons}
             | {"x": 0.5, "xanchor": "center", "y": 1.0, "yanchor": "bottom"}
         ],
         legend={"orientation": "h", "x": 0.5, "xanchor": "center", "y": 0.0},
-        margin={"l": 0, "r": 0, "b": 20, "t": 120},
+        margin={"l": 0, "r": 0, "b": 20, "t": 60},
         template="plotly_white",
     )
-    figure.write_html(path, include_plotlyjs=True, full_html=True, default_height="94vh", config={"displaylogo": False})
+    config = {"displaylogo": False, "responsive": True}
+    drawn = figure.to_html(include_plotlyjs=True, full_html=False, default_height="100%", config=config)
+    text = {"title": html.escape(printable(scene.title)), "caption": plain(scene.caption)}
+    path.write_text(PAGE.format(**text, drawn=drawn), encoding="utf-8")
 
 
 def _origin(points: Array) -> Array:

@@ -94,6 +94,7 @@ def assert_drawn(results: Path):
     assert len(page.encode()) < 10_000_000
     assert not re.search(r"<(script|link|img)[^>]*(src|href)=", page)  # nothing from a network
     assert '"type":"mesh3d"' in page
+    assert 'name="viewport"' in page  # phones
 
 
 def test_plane(tmp_path: Path):
