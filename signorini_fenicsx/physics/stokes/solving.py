@@ -26,7 +26,7 @@ class FlowSteps(ElasticSteps):
         return []
 
 
-class Run(solving.ElasticRun):
+class FlowRun(solving.ElasticRun):
     """A problem of flow on its mesh, ready to be solved."""
 
     solution_type = StokesSolution
@@ -49,4 +49,4 @@ class System(solving.System):
 
     def run(self, task: ElasticTask, options: Options) -> solving.ElasticRun:
         """The problem, ready to be solved."""
-        return Run(task, options)
+        return FlowRun(task, options)

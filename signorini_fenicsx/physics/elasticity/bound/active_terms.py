@@ -104,7 +104,7 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
         LinearSolveFailure: If the first solve fails; where a later one does, the best x so far is near enough.
     """
     comm, off = terms.comm, terms.along(x) - terms.bound
-    sets, changed, precise, best = _Sets.of(terms, forces, off), True, False, terms.pushed(x)
+    sets, changed, precise, best = _Taken.of(terms, forces, off), True, False, terms.pushed(x)
     least, idle, pieces = _value(terms, best), 0, comm.allreduce(bool(terms.on_pieces.any()), MPI.LOR)
     for number in range(ROUNDS):
         if changed:
@@ -140,7 +140,7 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Sets:
+class _Taken:
     """What the terms are taken for in a solve.
 
     Attributes:
@@ -154,7 +154,7 @@ class _Sets:
     length: Array
 
     @classmethod
-    def of(cls, terms: Terms, forces: Array, off: Array) -> _Sets:
+    def of(cls, terms: Terms, forces: Array, off: Array) -> _Taken:
         """The sets of these forces and this Ax − g (collective)."""
         most, rubs, foundations = terms.most, ~terms.one_sided, np.isinf(terms.most)
         passed = np.where(terms.on_pieces, terms.unit, 0.0) * off[:, 0]
@@ -180,7 +180,7 @@ class _Sets:
         springs[slips] = (most[slips] / length)[:, None, None] * across
         return springs
 
-    def after(self, terms: Terms, reached: Array, off: Array) -> tuple[_Sets, float]:
+    def after(self, terms: Terms, reached: Array, off: Array) -> tuple[_Taken, float]:
         """The next sets, and about what they gain (collective).
 
         Args:
@@ -195,7 +195,7 @@ class _Sets:
         gains = ((following - reached) ** 2).sum(axis=1) / terms.unit
         length = FARTHER * np.linalg.norm(following - reached, axis=1) / terms.unit
         force = np.where(held[:, None], np.where(self.held[:, None], self.force, _nearest(terms, reached)), following)
-        sets = _Sets(force, held, np.where(self.held, length, np.linalg.norm(off, axis=1)))
+        sets = _Taken(force, held, np.where(self.held, length, np.linalg.norm(off, axis=1)))
         return sets, terms.locks * terms.comm.allreduce(float(gains.sum())) / 2
 
 

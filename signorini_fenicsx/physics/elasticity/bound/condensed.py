@@ -33,7 +33,7 @@ from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity.discrete.data import OnSplit
 from signorini_fenicsx.physics.elasticity.discrete.material import STIFF_VOLUME
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
-from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BETTER, BULK, ENOUGH, STALLS, MeanPressure
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BETTER, BULK, ENOUGH, STALLS, MeansOfCells
 from signorini_fenicsx.physics.elasticity.solve.mean_pressure import MOST as MOST_SOLVES
 
 TOLERANCE = 1e-5
@@ -118,7 +118,7 @@ class Condensed:
             pushed: Gives an x near another one that is admissible.
         """
         numbers, dim, before, stalled = self.nodes.numbers, self.nodes.dim, np.inf, 0
-        mean = MeanPressure(numbers.comm, self.flows, self.stiffness)
+        mean = MeansOfCells(numbers.comm, self.flows, self.stiffness)
         search = mean.search()
 
         def lost(x: Array) -> tuple[Array, float]:

@@ -41,7 +41,7 @@ ENOUGH = 1e-14
 """The flow out of a cell is rounding if it is at most this share of the largest of what flows through one."""
 
 
-class MeanPressure:
+class MeansOfCells:
     """The means m of cells, which grow from solve to solve.
 
     Attributes:

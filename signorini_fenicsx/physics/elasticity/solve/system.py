@@ -25,7 +25,7 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
 from signorini_fenicsx.physics.elasticity.discrete.material import mean_compliances
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
-from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BULK, MeanPressure
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BULK, MeansOfCells
 
 
 class ElasticSystem(HybridSystem):
@@ -38,7 +38,7 @@ class ElasticSystem(HybridSystem):
         mean: The mean pressures of cells where the body is incompressible; None where it is not.
     """
 
-    mean: MeanPressure | None = None
+    mean: MeansOfCells | None = None
 
     def __init__(self, spaces: ElasticSpaces, data: ElasticData):
         """Eliminate and assemble (collective)."""
@@ -47,7 +47,7 @@ class ElasticSystem(HybridSystem):
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
         if data.material.incompressible:
             softness = [_softness(data.compliances(spaces, cells)) for cells in blocks_of_cells(spaces.mesh)]
-            self.mean = MeanPressure.of_traces(spaces, np.concatenate(softness), Cells(spaces.vertices).measure)
+            self.mean = MeansOfCells.of_traces(spaces, np.concatenate(softness), Cells(spaces.vertices).measure)
         self._take_loads()
 
     def _take(self, data: ElasticData) -> None:
@@ -111,7 +111,7 @@ class ElasticSystem(HybridSystem):
         return self.sides.forces(pulls.array[: self._size * self._numbers.size_local])
 
     def means(self, x: Array, wanted: Array) -> tuple[Array, float]:
-        """What all unknowns of this rank add to the mean pressures, see `MeanPressure.of` (collective)."""
+        """What all unknowns of this rank add to the mean pressures, see `MeansOfCells.of` (collective)."""
         assert self.mean is not None
         cells = np.arange(len(self.spaces.order), dtype=np.int32)
         return self.mean.of(self.sides.values(x)[self._unknowns(cells)], wanted)
