@@ -112,6 +112,8 @@ def test_a_linear_u_on_a_slanted_interface(direction: Any) -> None:
     [
         (Tied(), 1, 1e-12),
         (Wall((), beta=4), 1, 1e-12),
+        (Friction((), g=0.3), 1, 1e-12),
+        (Signorini((), psi="0.1*x"), 1, 1e-12),
         (Friction((), g=0.3), "1 + u^2", 1e-8),
         (Signorini((), psi="0.1*x"), VanGenuchten(1, 2, 2), 1e-8),
     ],
