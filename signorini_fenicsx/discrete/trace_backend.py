@@ -136,6 +136,8 @@ class TraceBackend(PlainBackend):
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
         p = p.copy()
         for kind, laws in self.with_laws:
+            if laws.chains.plain:  # there p' is p
+                continue
             segment = laws.chains.segments(kind.of(conditions))
             kind.of(p)[:] = laws.own(segment, kind.of(p), kind.of(flux))
         return conditions.clean(p, flux, self.conductance)
@@ -230,6 +232,8 @@ class TraceBackend(PlainBackend):
                 return self.cleaned(conditions, self._signs * p, self._signs * forces / self._shares)
 
         def is_enough(x: PETSc.Vec) -> bool:
+            if not conditions.has_values:
+                return enough(*self._pairs(x, conditions))
             whole = x + self._held
             pairs = self._pairs(whole, conditions)
             whole.destroy()  # on several ranks it would wait for the next `PETSc.garbage_cleanup`
