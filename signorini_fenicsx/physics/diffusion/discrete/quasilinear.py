@@ -15,6 +15,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of
 from signorini_fenicsx.discrete.linear_traces import opposite
@@ -142,12 +143,16 @@ class Quasilinear:
         return content, slope
 
     def nearer(self, traces: Array, wanted: Array) -> Array:
-        """These û on the facets of the owned cells, less the constant, or nearer ones to others, see `Soil.nearer`."""
+        """These û on the facets of the owned cells, less the constant, or nearer ones to others, see `Soil.nearer`.
+
+        A pressure head that is rounding is 0: else saturation, to which steps go at most, would be ahead for ever.
+        """
         x, found = self._places[0], wanted.copy()
         for inside, soil in self.soils:
-            height = x[inside][..., -1] if self.form == FORMS[0] else 0.0
+            height = x[inside][..., -1] if self.form == FORMS[0] else np.zeros(1)
             before, after = (each[inside] + self.constant - height for each in (traces, wanted))
-            found[inside] += soil.nearer(before, after) - after
+            rounding = ROUNDING * (np.abs(traces[inside]) + abs(self.constant) + np.abs(height))
+            found[inside] += soil.nearer(np.where(np.abs(before) <= rounding, 0.0, before), after) - after
         return found
 
     @property

@@ -394,7 +394,7 @@ def _of_energy(solution: Solution, goal: Goal) -> float:
         v = solution.cell_potential.at(points)
         load = data.f.values(points) + (0.0 if data.memory is None else in_points(data.memory, points))
         total += points.integrals(data.c.values(points) * v**2 / 2 - load * v).sum()
-    for part in laws:
+    for part in data.inside.of_regions:
         for points in in_cells(mesh, part.rows.astype(np.int32), *rule):
             values = np.broadcast_to(solution.u_at(points), points.shape)
             total += points.integrals(energies(part, points, values)).sum()
