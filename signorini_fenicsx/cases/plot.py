@@ -73,6 +73,10 @@ class Plot(Section):
         name = f"${axis}$" if len(axis) == 1 else axis
         return with_unit(name, "" if axis == "angle" else self.time_unit if axis == "t" else self.length_unit)
 
+    def over_facets(self, unit: str, dim: int) -> str:
+        """The unit of what is summed up over facets, such as a force; empty where one of both has none."""
+        return f"{unit} {self.length_unit}{'²' * (dim == 3)}" if unit and self.length_unit else ""
+
 
 UNNAMED = Plot()
 """Of problems that name nothing."""

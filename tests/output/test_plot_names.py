@@ -90,10 +90,13 @@ def test_units_of_bodies_and_flows():
     assert titles[:2] == ["pressure (MPa)", "gap (mm)"]
     lines = found.solution.lines(found.solution.summary())
     assert re.fullmatch(r"von Mises \S+ MPa at \(.*\) mm, \|u\| \S+ mm at \(.*\) mm", lines["largest"])
+    assert lines["forces"].endswith("; in MPa mm")
     assert re.match(r"pressure at most \S+ MPa at \(2, 0.5\) mm, area \S+ mm, width \S+ mm, center", lines["on top"])
     case = load_case("outlet").with_values({"solve.h": 0.5, "plot.unit": "m/s", "plot.length_unit": "m"})
     solution = solve_case(case, MPI.COMM_SELF)
-    assert re.fullmatch(r"at most \S+ m/s at \(.*\) m", solution.lines(solution.summary())["speed"])
+    lines = solution.lines(solution.summary())
+    assert re.fullmatch(r"at most \S+ m/s at \(.*\) m", lines["speed"])
+    assert lines["flow"].endswith(" m/s m")
     with pytest.raises(InputError, match="sign: elasticity has no such key; it has length_unit, stress_unit"):
         load_case("bar").with_values({"plot.sign": -1})
 

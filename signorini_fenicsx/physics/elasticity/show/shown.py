@@ -165,7 +165,7 @@ def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, st
     touching = f"{summary['touching_vertices']} facet vertices, measure {measure}"
     texts = {
         **({"contact": touching} if solution.spaces.part_names else {}),
-        "forces": forces_in_words(summary["resultants"], dim),
+        "forces": forces_in_words(summary["resultants"], dim, plot),
         "largest": _largest(summary["quantities"], plot),
     }
     for part, about in summary["quantities"]["contact"].items():
@@ -190,12 +190,14 @@ def segments_in_words(counts: Mapping[str, Mapping[str, float]]) -> str:
     return ", ".join(f"{name} {count['vertices']}" for name, count in counts.items())
 
 
-def forces_in_words(resultants: dict[str, list[float]], dim: int) -> str:
+def forces_in_words(resultants: dict[str, list[float]], dim: int, plot: Plot) -> str:
     """The force on each part, and the largest of what is left of all forces and moments."""
+    unit = plot.over_facets(plot.stress_unit, dim)
     forces = {name: ", ".join(f"{value:.5g}" for value in values[:dim]) for name, values in resultants.items()}
     del forces["sum"]
     left = max(map(abs, resultants["sum"]))
-    return f"{'  '.join(f'{name} ({force})' for name, force in forces.items())}; all together {left:.1e}"
+    words = f"{'  '.join(f'{name} ({force})' for name, force in forces.items())}; all together {left:.1e}"
+    return f"{words}; in {unit}" if unit else words
 
 
 def _largest(about: Mapping[str, Any], plot: Plot) -> str:

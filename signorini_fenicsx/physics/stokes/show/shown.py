@@ -68,16 +68,19 @@ def drawn(solution: Any) -> Drawn:
 def lines(solution: Any, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
     about, flows, plot = summary["quantities"], summary["flows"], plot_of(solution.source)
-    length, measure = plot.length_unit, f"{summary['contact_measure']:.6g}"
-    closed = in_unit(
-        f"{summary['touching_vertices']} facet vertices, measure {measure}", length, solution.spaces.dim - 1
-    )
+    length, dim = plot.length_unit, solution.spaces.dim
+    measure = in_unit(f"{summary['contact_measure']:.6g}", length, dim - 1)
+    out = in_unit(", ".join(f"{part} {flow:.5g}" for part, flow in flows.items()), plot.over_facets(plot.unit, dim))
     texts = {
-        **({"closed": closed} if solution.spaces.part_names else {}),
-        "forces": forces_in_words(summary["resultants"], solution.spaces.dim),
+        **(
+            {"closed": f"{summary['touching_vertices']} facet vertices, measure {measure}"}
+            if solution.spaces.part_names
+            else {}
+        ),
+        "forces": forces_in_words(summary["resultants"], dim, plot),
         "speed": f"at most {value_at(about['speed'], plot.unit, length)}",
         "pressure": _between(about["pressure"], plot.stress_unit, length),
-        "flow": f"out of {', '.join(f'{part} {flow:.5g}' for part, flow in flows.items())}",
+        "flow": f"out of {out}",
     }
     units = {"u_n": plot.unit, "sigma_nn": plot.stress_unit}
     for part, of_law in about["laws"].items():
