@@ -257,7 +257,7 @@ class TraceSystem(ABC):
 
     @abstractmethod
     def renew(self, data: Any) -> bool:
-        """Go on with other data (collective)."""
+        """Go on with other data; whether the matrix stays, without which a `HybridSystem` cannot (collective)."""
 
     def sum_of(self, parts: Iterable[OfCells]) -> PETSc.Mat:
         """The sum of matrices of cells, for the unknowns (collective)."""

@@ -76,11 +76,7 @@ class ConstrainedMatrix:
 
     def renew(self, form: fem.Form) -> None:
         """Assemble again, a form with the same sparsity pattern (collective)."""
-        self._assembled.zeroEntries()
-        assemble_matrix(self._assembled, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
-        self._assembled.assemble()
-        if self._basis is not None:
-            self._assembled.ptap(self._basis, self.natural)
+        assemble_again(self._assembled, form, self._basis, self.natural)
 
     def take_natural(self) -> None:
         """Take over other entries of `natural`, also into copies in blocks (collective)."""
@@ -129,3 +125,19 @@ class ConstrainedMatrix:
             matrix.setValuesRCV(*places, values, addv=True)
             matrix.assemble()
             matrix.zeroRowsColumns(essential + first)
+
+
+def assemble_again(assembled: PETSc.Mat, form: fem.Form, basis: PETSc.Mat | None, natural: PETSc.Mat) -> None:
+    """Assemble a matrix again by a form with the same sparsity pattern, and Tᵀ(…)T of it if there is a T (collective).
+
+    Args:
+        assembled: The matrix of the form.
+        form: The form.
+        basis: T, see `ConstrainedMatrix`.
+        natural: With a basis the product, else `assembled` itself.
+    """
+    assembled.zeroEntries()
+    assemble_matrix(assembled, form)  # type: ignore[arg-type]  # of the overloads mypy sees the first
+    assembled.assemble()
+    if basis is not None:
+        assembled.ptap(basis, natural)

@@ -17,6 +17,7 @@ from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Sides, TraceSystem, copies
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
+from signorini_fenicsx.linear.constrained_matrix import assemble_again
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.sources import sources
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -58,6 +59,7 @@ class FacetSystem(TraceSystem):
         """Assemble (collective)."""
         self.spaces, self._data, self.sources = spaces, data, sources(spaces, data)
         space = spaces.crouzeix_raviart
+        self._neumann_dofs = cells_and_dofs(space, spaces.neumann_facets)[1]
         named = cells_and_dofs(space, spaces.facets)[1][spaces.inner.rows]
         across = cells_and_dofs(space, spaces.inner.facets)[1]
         sides = Sides(space, copies(space, named, across), present=spaces.inner.present)
@@ -82,11 +84,7 @@ class FacetSystem(TraceSystem):
 
     def _assemble_again(self) -> None:
         """Give the matrix the entries of another κ, or of other sources (collective)."""
-        self._of_traces.zeroEntries()
-        assemble_matrix(self._of_traces, self._form())  # type: ignore[arg-type]  # of the overloads mypy sees the first
-        self._of_traces.assemble()
-        if self.sides.basis is not None:
-            self._of_traces.ptap(self.sides.basis, self.matrix)
+        assemble_again(self._of_traces, self._form(), self.sides.basis, self.matrix)
 
     def _form(self) -> fem.Form:
         """The bilinear form (collective)."""
@@ -110,8 +108,7 @@ class FacetSystem(TraceSystem):
             per_facet = per_facet - self._flow(self._jumps)
         load = self._forces(per_facet)
         load[sites.unknown] += data.q_Sh * sites.measure
-        neumann = cells_and_dofs(spaces.crouzeix_raviart, spaces.neumann_facets)[1]
-        load[neumann] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
+        load[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
         lift, image = self.matrix.createVecs()
         lift.array_w[:] = self.lift[: len(load)]
         self.matrix.mult(lift, image)
