@@ -15,8 +15,8 @@ Your own algorithm is a start and a rule; here Algorithm 1 as an example:
 >>> one.contact == other.contact
 True
 
-Your own law is a class with a `Graph`, see `contact.laws`, and a `LawWithMemory` one whose graph depends on what has
-happened, see `contact.memory`. Your own discretisation is a `Backend`: an object that
+Your own law is a `Law`, a class whose method `graph` gives a `Graph`; that of a `LawWithMemory` depends on what has
+happened. The docstring of `contact.law` has an example of each. Your own discretisation is a `Backend`: an object that
 solves one linear problem under given conditions on its sites. With `FacetBackend` it needs `name`, `dofs`, `solver` and
 `solve`. Your own method is a `Method`, whose `run` gets a `Task` and returns an `Outcome`. All of them are options:
 `Options(algorithm=…, backend=…)`.

@@ -28,7 +28,7 @@ class NumericalFailure(InOneSentence):
     """The computation ended without a solution that satisfies the Signorini conditions: exit status 1.
 
     Attributes:
-        solution: The last state as a `solving.solution.Solution`, for inspection; None if there is none.
+        solution: The last state as a `solution.Solution`, for inspection; None if there is none.
     """
 
     def __init__(self, reason: str, solution: Any = None):

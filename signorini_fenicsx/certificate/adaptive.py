@@ -125,8 +125,8 @@ def adapt[S: Solved](
 
     Args:
         domain: The first mesh.
-        problem: A `Diffusion` or `Elasticity`; or a function that solves the problem on a mesh of the domain, starting
-            from the solution on the mesh before or from None (collective).
+        problem: A `Diffusion`, `Elasticity` or `Stokes`; or a function that solves the problem on a mesh of the domain,
+            starting from the solution on the mesh before or from None (collective).
         target: Relative bound at which to stop; with None only the number of cells ends the refinement.
         max_cells: Meshes with more cells are not used.
         theta: The refined cells have this share of Σ η_T²; 1 refines uniformly.

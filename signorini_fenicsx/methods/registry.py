@@ -2,12 +2,14 @@
 
 An entry here gives a new method a name. It can also run without one: `solve` takes a `Method` as well as a name.
 
-| method                    | in                            | formulation                              |
-|---------------------------|-------------------------------|------------------------------------------|
-| alg1 … alg4               | `set_rules`, run by `by_sets` | (MLM-I)_h, (MLM-II)_h, (MPε-I)_h, (MPε-II)_h |
-| snes1, snes2              | `physics/diffusion/newton`    | (MPε-I)_h, (MPε-II)_h                    |
-| vi                        | `…/bound_constrained`         | (MLM-I)_h, p ≥ 0 as a bound              |
-| the ten classical methods | `…/classical`                 | see there                                |
+| method                    | in                                   | formulation                                  |
+|---------------------------|--------------------------------------|----------------------------------------------|
+| alg1 … alg4               | `contact/set_rules.py`               | (MLM-I)_h, (MLM-II)_h, (MPε-I)_h, (MPε-II)_h |
+| snes1, snes2              | `physics/diffusion/solve/newton.py`  | (MPε-I)_h, (MPε-II)_h                        |
+| vi                        | `physics/diffusion/solve/newton.py`  | (MLM-I)_h, p ≥ 0 as a bound                  |
+| the ten classical methods | `physics/diffusion/solve/classical/` | see there                                    |
+
+Set rules, as those of alg1 to alg4, are run by `by_sets.py`.
 """
 
 from collections.abc import Callable, Mapping

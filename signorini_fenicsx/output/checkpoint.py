@@ -217,8 +217,8 @@ def load_solution(
     Args:
         folder: The results folder.
         comm: Communicator.
-        problem: A `Diffusion` or `Elasticity`, needed if some data were given in Python in a form that no file can
-            hold. The mesh that is read is a new one, so data are then numbers, texts or functions of points.
+        problem: A `Diffusion`, `Elasticity` or `Stokes`, needed if some data were given in Python in a form that no
+            file can hold. The mesh that is read is a new one, so data are then numbers, texts or functions of points.
         options: The options, needed if the algorithm was given in Python.
 
     Raises:

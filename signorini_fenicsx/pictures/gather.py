@@ -21,7 +21,7 @@ class DrawnBoundary:
     """One row per boundary facet of all ranks.
 
     Attributes:
-        kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`; `PARTLY_FIXED` of an elastic body.
+        kind: `SIGNORINI`, `DIRICHLET` or `NEUMANN` of `discrete.mesh_spaces`; `PARTLY_FIXED` of `solving.drawn`.
         u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain; of bodies means
             of the traction that is given, shape (facets, dim).
         vertices: Rows of `Fields.points`, ascending by their numbers in the mesh, shape (facets, dim).

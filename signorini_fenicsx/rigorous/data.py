@@ -137,7 +137,7 @@ class Given:
     """The trees of a case's data, and bounds of elementary functions.
 
     Attributes:
-        f, u_D, g_N, psi, q_S: As in `discrete.problem.Problem`, as trees.
+        f, u_D, g_N, psi, q_S: As in `physics.diffusion.problem.Problem`, as trees.
         kappa: κ as a matrix of trees, 1 × 1 for a scalar; by region, or under "" for all of Ω. Only the entries on and
             above the diagonal are used.
         elementary: Proven bounds of exp, sin, ….

@@ -128,8 +128,9 @@ def evolve(
 
     Args:
         place: The mesh, or a solver that is set up on it with such a problem.
-        problem: A `Diffusion` or `Elasticity`. Its data are numbers and texts in x, y, z and t, or functions that are
-            the same at all times. An elastic body is at rest in each step, and friction is against the last one.
+        problem: A `Diffusion`, `Elasticity` or `Stokes`. Its data are numbers and texts in x, y, z and t, or functions
+            that are the same at all times. An elastic body is at rest in each step, and friction is against the last
+            one.
         evolution: Times; for diffusion also initial values, capacity and scheme.
         options: Algorithm, backend and their parameters; None for the defaults.
         start: Solution on any mesh of the domain; its sets are the first ones, and for diffusion its u takes the

@@ -238,8 +238,8 @@ class Solver[S: Solved]:
 
         Args:
             domain: The mesh with its parts.
-            problem: A `Diffusion` or `Elasticity`. Those that are solved later have conditions of the same kinds on the
-                same parts.
+            problem: A `Diffusion`, `Elasticity` or `Stokes`. Those that are solved later have conditions of the same
+                kinds on the same parts.
 
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
@@ -339,7 +339,7 @@ def solve[S: Solved](
 
     Args:
         domain: The mesh with its parts.
-        problem: A `Diffusion` or `Elasticity`.
+        problem: A `Diffusion`, `Elasticity` or `Stokes`.
         options: Algorithm, backend and their parameters; None for the defaults.
         start: Solution on any mesh of the domain; its sets are the first ones, of a body with the bounds of friction.
         remesh: Makes coarser meshes, from which the sets of a large problem are predicted.

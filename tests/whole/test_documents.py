@@ -115,6 +115,24 @@ def test_files_of_the_layout_exist():
     assert lost == []
 
 
+def test_modules_that_docstrings_name():
+    """A dotted name in backquotes that begins with a folder of the package is a module there, or in one."""
+    package = ROOT / "signorini_fenicsx"
+    paths = [*package.rglob("*.py"), *(package / "forms").glob("*.py")]  # the forms are a link there
+    texts = {path.relative_to(package).with_suffix("").parts: path.read_text("utf-8") for path in paths}
+    named = {(path[-1], name) for path, text in texts.items() for name in re.findall(r"`([a-z]\w+(?:\.\w+)+)`", text)}
+    lost = []
+    for where, name in named:
+        words = tuple(name.split("."))
+        if (package / words[0]).is_dir() and words[-1] not in ("csv", "png"):
+            known = next(number for number in range(len(words), 0, -1) if (package.joinpath(*words[:number])).is_dir())
+            known += words[: known + 1] in texts
+            module = texts.get(words[:known], texts.get((*words[:known], "__init__"), ""))
+            if known < len(words) and not re.search(rf"\b{words[known]}\b", module):
+                lost.append(f"{where}: {name}")
+    assert lost == []
+
+
 def test_notebooks(tmp_path: Path):
     """Each tutorial is a notebook with all its code, as Jupyter's format wants it; the documentation runs the code."""
     sys.path.insert(0, str(ROOT / "scripts"))

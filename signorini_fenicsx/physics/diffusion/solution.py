@@ -82,7 +82,7 @@ class Solution(AnySolution):
         p: Trace p_h in P0(Γ_S), on the facet submesh.
         outcome: How the method ended, with σ_h and u_h; `converged` means here that the residuals are small as well.
         kkt: Residuals of the discrete Signorini problem.
-        source: The `cases.case.Case` from which the problem was read; None if it was given in Python.
+        source: The `physics.diffusion.case.Case` from which the problem was read; None if it was given in Python.
         step: Number of the step of a problem in time, from 1; None for others.
         system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.
         timings: Seconds per phase, the longest over all ranks.

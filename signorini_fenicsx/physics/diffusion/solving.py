@@ -138,7 +138,7 @@ class System:
         return kind(task, options, data, constant, self.kept)
 
     def check(self, problem: Problem) -> list[str]:
-        """Read the data and check them, see `solving.system.System` (collective).
+        """Read the data and check them, see `solving.solver.System` (collective).
 
         Raises:
             InputError: If the problem cannot be discretised.

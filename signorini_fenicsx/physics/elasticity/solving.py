@@ -103,7 +103,7 @@ class System:
         return ElasticRun(task, options)
 
     def check(self, problem: ElasticProblem) -> list[str]:
-        """Read the data and check them, see `solving.system.System` (collective).
+        """Read the data and check them, see `solving.solver.System` (collective).
 
         Raises:
             InputError: If the problem cannot be discretised.

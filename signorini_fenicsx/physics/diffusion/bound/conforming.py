@@ -16,9 +16,10 @@ quadratic. A rigid segment is one that is vertical where it has y·n: up to its 
 than it is. In Ω it is the same, see `cell_springs`.
 
 On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
-jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in all these nodes.
-u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D − I_hu_D) puts the jump beyond a bound.
-On slaves of pairs it is about the jump of v + d, with the d of `certificate.opposite` that v leaves out.
+jump, see `physics.diffusion.discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in
+all these nodes. u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D − I_hu_D) puts the jump
+beyond a bound. On slaves of pairs it is about the jump of v + d, with the d of `certificate.opposite` that v leaves
+out.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How wrong a displacement is, by a stress that is near the exact one; see `certificate.of_field`."""
+"""How wrong a displacement is, by a stress that is near the exact one; see `certificate.certify`."""
 
 import numpy as np
 import ufl

@@ -1,4 +1,4 @@
-"""What elastic supports add to the gap of an elastic solution, ½∫ K(v − w)·(v − w); see `elasticity.supports`."""
+"""What elastic supports add to the gap of an elastic solution, ½∫ K(v − w)·(v − w); see `discrete/supports.py`."""
 
 from dataclasses import dataclass
 

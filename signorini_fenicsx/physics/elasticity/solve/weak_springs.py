@@ -13,7 +13,7 @@ SPRING = 1e-6
 
 @dataclass(frozen=True)
 class WeakSprings:
-    """Weak springs, on free sites where a motion of the body is free, or on all sites as `contact.descent` wants them.
+    """Weak springs on free sites where a motion of the body is free, or on all sites for `contact.loop.Descent`.
 
     Attributes:
         stiffness: That of each site.
