@@ -9,9 +9,6 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Indices, times
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 
-TWELFTHS = 12
-"""Up to degree 3 coefficients are sums of values times multiples of 1/12."""
-
 
 @cache
 def nodes(cell: basix.CellType, degree: int) -> Array:

@@ -186,8 +186,6 @@ def _lowest(resolution: Resolution, piece: Conductivity, vertices: Array) -> Arr
     return lowest
 
 
-QUADRATIC = 2
-"""Degree of |κ∇v − y|² where v is quadratic and κ a number."""
 CLOSE = 0.01
 """A share of a square that may be missed."""
 
