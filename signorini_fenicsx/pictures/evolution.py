@@ -59,7 +59,7 @@ def draw_over_time(path: Path, scene: Scene, steps: DrawnSteps, panels: Sequence
         axes = sheet.panel(row, 0, columns=len(sheet.widths))
         for name, (values, colour) in named.items():
             (line,) = axes.plot(steps.times, values, color=colour, linewidth=1.6, label=name)
-            more += [line] if colour is None else []
+            more += [line] if name not in groups else []
         axes.set(xlabel=scene.plot.along("t"), ylabel=label, title=title)
     sheet.legend_below([*handles, *more])
     sheet.save(path)

@@ -174,15 +174,21 @@ class Scene:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """Γ_S in contact and not in contact, or by the segments of the laws; none of them empty.
+        """Γ_S in contact and not in contact, or by the segments of the laws in their order; none of them empty.
 
         The colour of a segment does not depend on which others have facets, so it stays in time.
         """
         groups = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
         if self.segments:
             names = np.array(self.segments)[self.sites.shown[self.rows].min(axis=1, initial=len(self.segments) - 1)]
-            groups = [Group(each, colour, names == each) for each, colour in style.colours_of(self.segments).items()]
+            colours = style.colours_of(self.segments)
+            groups = [Group(each, colours[each], names == each) for each in dict.fromkeys(self.segments)]
         return [group for group in groups if group.facets.any()]
+
+    def colours_in_cells(self, names: Collection[str]) -> dict[str, str]:
+        """The colours of segments of laws in Ω: that of a segment of this name on Γ_S, for others none of these."""
+        on_gamma = style.colours_of(self.segments)
+        return on_gamma | style.colours_of([name for name in names if name not in on_gamma], [*on_gamma.values()])
 
     @cached_property
     def measure(self) -> Array:

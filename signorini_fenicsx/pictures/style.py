@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import cache
 
 import numpy as np
@@ -104,15 +104,21 @@ def around_0(values: Array) -> tuple[float, float]:
     return -most if down else 0.0, most if up or not down else 0.0
 
 
-def colours_of(names: Iterable[str]) -> dict[str, str]:
-    """The colour of each segment of laws by its name, in alphabetical order; no two have the same."""
+def colours_of(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, str]:
+    """The colour of each segment of laws by its name, in alphabetical order; no two have the same.
+
+    Args:
+        names: The names.
+        taken: Colours that others have in the same picture.
+    """
     found = dict[str, str]()
     for name in sorted(set(names)):  # "contact" and "lower" have one colour, but not in one picture
-        if (colour := OF_SEGMENT.get(name)) and colour not in found.values():
+        if (colour := OF_SEGMENT.get(name)) and colour not in (*found.values(), *taken):
             found[name] = colour
     first, step, *rest = OTHERS
     many = (to_hex(hsv_to_rgb(((first + step * i) % 1, *rest))) for i in itertools.count())
-    free = (colour for colour in itertools.chain(SEGMENTS, many) if colour not in found.values())
+    used = {*found.values(), *taken}
+    free = (colour for colour in itertools.chain(SEGMENTS, many) if colour not in used)
     return {name: found.get(name) or next(free) for name in sorted(set(names))}
 
 

@@ -125,7 +125,12 @@ def test_segments_have_names():
     assert "jump at $u = -0.1$" in scene(case).segments
     names = ["freezing", "ice", "mush", "water", "steam"]
     case = case.with_values({"law": [graph | {"beyond": "vertical", "names": names}]})
-    assert list(scene(case).segments) == names
+    found = scene(case)
+    assert list(found.segments) == names
+    assert [group.name for group in found.groups] == [name for name in names if name in {g.name for g in found.groups}]
+    in_cells = found.colours_in_cells(["dry", "ice", "wet"])
+    assert in_cells["ice"] == colours_of(names)["ice"]
+    assert not {in_cells["dry"], in_cells["wet"]} & set(colours_of(names).values())
     assert len(set(colours_of([f"phase {i}" for i in range(20)] + ["contact", "lower"]).values())) == 22
 
 

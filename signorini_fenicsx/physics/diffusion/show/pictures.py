@@ -117,7 +117,7 @@ def segments(scene: Scene) -> list[Panel]:
     laws, found = getattr(scene.solution.data, "inside", None), []
     for part in laws.of_regions if laws else ():
         of_cells, where = scene.fields.in_cells[SEGMENTS + part.name], " and ".join(part.law.region)
-        colours = {"no law": "0.92", **style.colours_of(part.titles())}
+        colours = {"no law": "0.92", **scene.colours_in_cells(part.titles())}
         names = ["no law", *part.titles()]
         title = f"cells by the law in {r'$\Omega$' if EVERYWHERE in part.law.region else where}"
         look: dict[str, Any] = {"in_cells": True, "ends": (-0.5, len(names) - 0.5, "neither")}
@@ -187,8 +187,9 @@ def kept(solution: Any, steps: int) -> Mapping[str, Sequence[int]]:
 
 def in_time(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
     """Draw `contact.png`, and in the plane `fronts.png` of laws in Ω and `animation.gif`."""
-    titles = columns_of_cells(scene.solution)
-    in_cells = {name: ([row[key] for row in steps.rows], None) for key, name in titles.items() if key in steps.rows[-1]}
+    titles = {key: name for key, name in columns_of_cells(scene.solution).items() if key in steps.rows[-1]}
+    colours = scene.colours_in_cells(titles.values())
+    in_cells = {name: ([row[key] for row in steps.rows], colours[name]) for key, name in titles.items()}
     size = r"cells by the laws in $\Omega$", "area" if scene.dim == 2 else "volume"
     draw_over_time(
         folder / "contact.png",
