@@ -21,8 +21,20 @@ from collections import Counter
 from importlib import import_module
 from pathlib import Path
 
-from fuzzing.judge import BAD, ENDINGS, Ending, Verdict, judged, put_files_of_the_user, snapshot
-from fuzzing.runner import Runner, begin_again, import_everything, make_folders, numbered
+from fuzzing.judge import (
+    BAD,
+    ENDINGS,
+    Ending,
+    Runner,
+    Verdict,
+    begin_again,
+    import_everything,
+    judged,
+    make_folders,
+    numbered,
+    put_files_of_the_user,
+    snapshot,
+)
 
 KINDS = {
     **{"case": "texts.case_file", "law": "texts.law_file", "elastic": "problems.few_facets"},

@@ -3,10 +3,7 @@
     uv run python scripts/measure.py WHAT …          (WHAT --help tells the options)
 
 `benchmark`   seconds beside P1 and P2 of scikit-fem and NGSolve at equal errors (`uv run --group bench`)
-`elimination` RT0's facet system by its closed form and by elimination
 `libraries`   a pressed block by P2 of scikit-fem and NGSolve (`uv run --group bench`)
-`whole-runs`  whole runs as multiples of one linear solve
-`phases`      where the seconds of the solver go
 `scaling`     seconds, memory and messages over ranks
 `repeated`    solves per second on one mesh
 `steps`       steps in time whose sets stand still (also under mpirun)
@@ -25,7 +22,7 @@
 `plate`       what the error bound says of published values
 `penalty`     the statements of the slides on the penalty formulations
 
-`ours`, `conforming` and `yardstick` are what `benchmark` and `whole-runs` start in processes of their own.
+`ours` and `conforming` are what `benchmark` starts in processes of their own.
 """
 
 import sys
@@ -36,13 +33,13 @@ import typer
 MODULES = {
     **dict.fromkeys(["benchmark", "ours"], "benchmark"),
     **dict.fromkeys(["libraries", "conforming"], "conforming"),
-    **dict.fromkeys(["whole-runs", "phases", "repeated", "steps", "gradients"], "runs"),
+    **dict.fromkeys(["scaling", "repeated", "steps", "gradients"], "runs"),
     **dict.fromkeys(["adaptive", "quantities", "orders", "cubics", "quadratics"], "bounds"),
     **dict.fromkeys(["elastic", "friction"], "elastic"),
     "soil-columns": "soils",
     **dict.fromkeys(["korn", "proved-korn"], "korn"),
     **dict.fromkeys(["mindlin", "plate", "penalty"], "published"),
-    **{name: name for name in ("elimination", "methods", "pairs", "scaling", "soils", "yardstick")},
+    **{name: name for name in ("methods", "pairs", "soils")},
 }
 """Where each is, in `measuring`."""
 

@@ -24,11 +24,12 @@ import dolfinx.mesh
 import numpy as np
 import scipy.sparse.linalg
 import ufl
+from boxes import box
 from dolfinx import fem
 from measuring.problem import primal_dual_active_set
 from mpi4py import MPI
 
-from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca, domain_of, solve
+from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca, solve
 
 SINGULAR = 1e-10
 """Pivots below this share of the largest one are rounding."""
@@ -291,21 +292,13 @@ def _forces(
 
 def oblique(n: int, law: Tresca | Coulomb) -> tuple[Any, P2Friction]:
     """A block, n cells high, that is held at one end and pushed obliquely on a plane: by the package, and by P2."""
-    mesh = dolfinx.mesh.create_box(MPI.COMM_SELF, [[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]], [2 * n, n, n])
-    places = {
-        "bottom": (2, 0.0),
-        "top": (2, 1.0),
-        "held": (0, 0.0),
-        "end": (0, 2.0),
-        "front": (1, 0.0),
-        "back": (1, 1.0),
-    }
-    parts = {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in places.items()}
-    contact = Contact("bottom", gap=GAP, friction=law)
-    sides = [Neumann("top", PUSH), Neumann("end", LIFT), Neumann(["front", "back"]), Dirichlet("held", 0)]
-    solution = solve(domain_of(mesh, parts), Elasticity(1.0, 0.3, conditions=[contact, *sides]))
-    other = solve_p2_friction(Box(mesh, 1.0, 0.3, {(2, 1.0): PUSH, (0, 2.0): LIFT}, {(0, 0.0): [0, 1, 2]}, GAP), law)
-    return solution, other
+    domain, contact = (
+        box([0.0, 0.0, 0.0], [2.0, 1.0, 1.0], [2 * n, n, n], MPI.COMM_SELF),
+        Contact("bottom", gap=GAP, friction=law),
+    )
+    rest = [Neumann("top", PUSH), Neumann("right", LIFT), Neumann(["front", "back"]), Dirichlet("left", 0)]
+    solution, loads = solve(domain, Elasticity(1.0, 0.3, conditions=[contact, *rest])), {(2, 1.0): PUSH, (0, 2.0): LIFT}
+    return solution, solve_p2_friction(Box(domain.mesh, 1.0, 0.3, loads, {(0, 0.0): [0, 1, 2]}, GAP), law)
 
 
 def main() -> None:

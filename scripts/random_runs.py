@@ -5,8 +5,8 @@
 `problems`  scalar problems against SNESVI or SNES
 `laws`      with several laws on Γ_S against a quadratic programme; `laws-inside` with laws in Ω too
 `bounds`    certified bounds against solutions on the mesh refined twice, κ with jumps at cells; `bounds-smooth` without
-            jumps, `bounds-across` with jumps in cells, `bounds-RT1` by fluxes of order two, `pulses` with loads that
-            quadrature sees least, `small` with κ near 0, `starts` of first steps in time
+            jumps, `bounds-across` with jumps in cells, `bounds-RT1` by fluxes of order two, `small` with κ near 0,
+            `starts` of first steps in time
 `bodies`    bounds of elastic bodies against adaptive meshes; `two-bodies`, `pairs` of bodies with meshes of their own,
             `rough` data, `flows`
 `quantities`  intervals of quantities against those on finer meshes; `quantities-bodies` of elastic bodies, `exact`
@@ -40,10 +40,10 @@ KINDS = {
     "bounds-smooth": ("bounds", "bound", "none"),
     "bounds-across": ("bounds", "bound", "across"),
     "bounds-RT1": ("bounds", "bound", "aligned", "RT1"),
-    **{name: ("bounds", name) for name in ("pulses", "small", "starts")},
-    "bodies": ("body_bounds", "body_bound", "one"),
-    "two-bodies": ("body_bounds", "body_bound", "bodies"),
-    **{name: ("body_bounds", "body_bound", name) for name in ("pairs", "rough", "flows")},
+    **{name: ("bounds", name) for name in ("small", "starts")},
+    "bodies": ("bodies", "body_bound", "one"),
+    "two-bodies": ("bodies", "body_bound", "bodies"),
+    **{name: ("bodies", "body_bound", name) for name in ("pairs", "rough", "flows")},
     "quantities": ("quantities", "of_random"),
     "quantities-bodies": ("quantities", "of_random", True),
     "exact": ("quantities", "of_exact"),

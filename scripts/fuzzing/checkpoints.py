@@ -4,13 +4,14 @@ import json
 import os
 import random
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fuzzing.broken import BINARY, OUTPUT, Broken, Valid, damaged
+from fuzzing import BINARY, OUTPUT, Broken, Valid, damaged
 
 type Arrays = dict[str, npt.NDArray]
 
@@ -64,120 +65,59 @@ def _save(path: Path, arrays: Arrays) -> None:
 
 def _arrays(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
     """Change one or two arrays; most of the new lengths, types and numbers cannot be right."""
-    arrays = _load(path)
-    done = []
+    arrays, done = _load(path), []
     for _ in range(rng.choice([1, 1, 1, 2])):
-        key = rng.choice([name for name in arrays if name != "about"])
-        way = rng.choice(ARRAY_WAYS)
+        way = rng.choice(list(ARRAY_WAYS))
+        names, change = ARRAY_WAYS[way]
+        key = rng.choice([name for name in arrays if name in names or not (names or name == "about")] or ["cells"])
+        if way == "missing" and key.startswith(OPTIONAL):
+            key = "cells"
+        done.append(f"{key} {way}")
         with np.errstate(all="ignore"):
-            done.append(f"{way(rng, arrays, key)} {way.__name__}")
-        arrays = {name: array for name, array in arrays.items() if name != "about"} | {"about": arrays["about"]}
-    _save(path, arrays)
-    certain = any(word in text for text in done for word in ("missing", "narrow", "wide", "pickled", "words"))
-    return ", ".join(done), certain
+            arrays |= {key: change(rng, arrays[key])} if key in arrays else {}
+    _save(path, {key: array for key, array in arrays.items() if array is not None})
+    return ", ".join(done), any(way in text for text in done for way in REFUSED)
 
 
-def missing(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Remove the array."""
-    if key.startswith(("part_", "inside", "facet_part", "facet_x", "facet_along", "facet_measure", "facet_u")):
-        key = "cells"  # not all commands need the others
-    arrays.pop(key, None)
-    return key
-
-
-def narrow(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """One column less."""
-    key = rng.choice(["cells", "sigma", "facet_vertices", "points"])
-    if key in arrays and arrays[key].ndim > 1:
-        arrays[key] = arrays[key][:, :-1]
-    return key
-
-
-def wide(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """One column more."""
-    key = rng.choice(["cells", "sigma", "facet_vertices"])
-    if key in arrays and arrays[key].ndim > 1:
-        arrays[key] = np.column_stack([arrays[key], arrays[key][:, 0]])
-    return key
-
-
-def pickled(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Objects, which NumPy would unpickle if that were allowed."""
-    arrays["cells"] = np.array([{"a": 1}, None], dtype=object)
-    return "cells"
-
-
-def words(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Text instead of numbers."""
-    key = rng.choice(["cells", "points", "u", "sigma"])
-    arrays[key] = np.full(np.shape(arrays.get(key)), "é")
-    return key
-
-
-def short(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Fewer rows."""
-    arrays[key] = (
-        arrays[key][: rng.randrange(len(arrays[key]))] if arrays[key].ndim and len(arrays[key]) else arrays[key]
-    )
-    return key
-
-
-def long(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """More rows."""
-    arrays[key] = np.concatenate([arrays[key]] * rng.choice([2, 3])) if arrays[key].ndim else arrays[key]
-    return key
-
-
-def flat(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Another number of axes."""
-    arrays[key] = rng.choice(
-        [arrays[key].ravel(), arrays[key].T, arrays[key][None], np.float64(1.0), arrays[key][..., None]]
-    )
-    return key
-
-
-def other_type(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Another type."""
+def _other_type(rng: random.Random, array: npt.NDArray) -> npt.NDArray:
     kind = rng.choice(["f4", "f2", "c16", "i1", "u8", "?", ">f8", ">i8", "S3", "M8[s]", "V8"])
     try:
-        arrays[key] = arrays[key].astype(kind)
+        return array.astype(kind)
     except (TypeError, ValueError):
-        arrays[key] = np.zeros(arrays[key].shape, kind)
-    return key
+        return np.zeros(array.shape, kind)
 
 
-def other_number(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """One number that refers to nothing, or is not finite."""
-    array = arrays[key].copy()
-    if array.size and array.dtype.kind in "fi":
-        values = (
-            [-1, 10**6, 2**31, 2**62, -(2**62), 0] if array.dtype.kind == "i" else [np.nan, np.inf, 1e308, -1e30, 0]
-        )
-        for _ in range(rng.choice([1, 1, 5])):
-            array.flat[rng.randrange(array.size)] = rng.choice(values)
-        arrays[key] = array
-    return key
+def _other_number(rng: random.Random, array: npt.NDArray) -> npt.NDArray:
+    """One number, or some, that refers to nothing, or is not finite."""
+    values = {"i": [-1, 10**6, 2**31, 2**62, -(2**62), 0], "f": [np.nan, np.inf, 1e308, -1e30, 0]}.get(array.dtype.kind)
+    array = array.copy()
+    for _ in range(rng.choice([1, 1, 5]) if values and array.size else 0):
+        array.flat[rng.randrange(array.size)] = rng.choice(values)
+    return array
 
 
-def scaled(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """All numbers replaced by other finite numbers, which are no solution of the case."""
-    key = rng.choice(["sigma", "u", "facet_p", "facet_flux", "divergence"])
-    if key in arrays and arrays[key].dtype.kind == "f":
-        arrays[key] = arrays[key] * 5
-    return key
-
-
-def shuffled(rng: random.Random, arrays: Arrays, key: str) -> str:
-    """Rows in another order."""
-    if arrays[key].ndim:
-        arrays[key] = arrays[key][rng.sample(range(len(arrays[key])), len(arrays[key]))]
-    return key
-
-
-ARRAY_WAYS = (
-    *(missing, narrow, wide, pickled, words, short, long, flat, other_type, other_type, other_number, other_number),
-    *(scaled, shuffled),
-)
+OPTIONAL = ("part_", "inside", "facet_part", "facet_x", "facet_along", "facet_measure", "facet_u")
+"""Beginnings of names of arrays that not all commands need."""
+REFUSED = ("missing", "narrow", "wide", "pickled", "words")
+"""Ways that no command may accept."""
+ARRAY_WAYS: dict[str, tuple[tuple[str, ...], Callable[[random.Random, npt.NDArray], Any]]] = {
+    "missing": ((), lambda rng, a: None),
+    "narrow": (("cells", "sigma", "facet_vertices", "points"), lambda rng, a: a[:, :-1] if a.ndim > 1 else a),
+    "wide": (("cells", "sigma", "facet_vertices"), lambda rng, a: np.column_stack([a, a[:, 0]]) if a.ndim > 1 else a),
+    "pickled": (("cells",), lambda rng, a: np.array([{"a": 1}, None], dtype=object)),
+    "words": (("cells", "points", "u", "sigma"), lambda rng, a: np.full(a.shape, "é")),
+    "short": ((), lambda rng, a: a[: rng.randrange(len(a))] if a.ndim and len(a) else a),
+    "long": ((), lambda rng, a: np.concatenate([a] * rng.choice([2, 3])) if a.ndim else a),
+    "flat": ((), lambda rng, a: rng.choice([a.ravel(), a.T, a[None], np.float64(1.0), a[..., None]])),
+    "of another type": ((), _other_type),
+    "with another number": ((), _other_number),
+    "scaled": (
+        ("sigma", "u", "facet_p", "facet_flux", "divergence"),
+        lambda rng, a: a * 5 if a.dtype.kind == "f" else a,
+    ),
+    "shuffled": ((), lambda rng, a: a[rng.sample(range(len(a)), len(a))] if a.ndim else a),
+}
+"""Ways to change an array: names of those that it is for, of all if there are none, and the new array, or None."""
 
 
 def _story(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:

@@ -18,7 +18,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from fuzzing.broken import OUTPUT, Broken, Valid
+from fuzzing import OUTPUT, Broken, Valid
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual

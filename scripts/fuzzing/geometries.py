@@ -4,7 +4,7 @@ import random
 import re
 from pathlib import Path
 
-from fuzzing.broken import OUTPUT, Broken, Damage, Valid, damaged, mixed, renumbered, reworded
+from fuzzing import OUTPUT, Broken, Damage, Valid, damaged, mixed, renumbered, reworded
 from signorini_fenicsx.base.shipped import data_folder
 
 SQUARE = """h = 0.5;

@@ -13,7 +13,7 @@ import meshio
 import numpy as np
 from broken_input import MESH_MUTATIONS, msh_text, square_msh, write_broken_mesh
 
-from fuzzing.broken import BINARY, OUTPUT, TEXT, Broken, Valid, damaged
+from fuzzing import BINARY, OUTPUT, TEXT, Broken, Valid, damaged
 from signorini_fenicsx.meshes.checks import faces
 
 FORMATS = {

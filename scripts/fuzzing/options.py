@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
+from fuzzing import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
 from fuzzing.texts import KEYS, VALUES
 from signorini_fenicsx.methods.registry import METHODS
 

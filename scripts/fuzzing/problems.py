@@ -20,10 +20,9 @@ from broken_input import msh_text, square_msh
 from makers.quantities import Known, bar, membrane
 from scipy.linalg import solveh_banded
 
-from fuzzing.broken import OUTPUT, Broken, Valid
-from fuzzing.judge import Ending
+from fuzzing import OUTPUT, Broken, Valid
+from fuzzing.judge import Ending, Runner, make_folders
 from fuzzing.meshes import CASE
-from fuzzing.runner import Runner, make_folders
 from fuzzing.texts import LAWS
 from signorini_fenicsx import Contact, Dirichlet, Signorini
 from signorini_fenicsx.expressions import read, values

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from broken_input import CASE_MUTATIONS
 
-from fuzzing.broken import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
+from fuzzing import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
 from signorini_fenicsx.base.shipped import data_folder
 
 COARSE = {

@@ -5,10 +5,8 @@ for u_D ≥ ψ, ψ, q_S and g_N. κ is 1 (`none`), or jumps between 1 and 1e6: b
 within them (`across`). A row has ‖σ_f − σ_h‖ with σ_f from the finer mesh, and the ratio of the bound to it. If this
 ratio is below 1, the bound of the finer mesh decides whether σ_f is not accurate enough or the bound is too low.
 
-With pulses f is a text with narrow pulses. Of many draws it is the one that the quadrature of the coarse mesh sees
-least; on the finer mesh f has its means in the cells, by a far better quadrature, whose osc(f) is taken into account.
-Then only guaranteed bounds count. Starts are first steps in time from values that vary within cells, with laws of
-storage and capacities that vary; there the bound is that of the step.
+Starts are first steps in time from values that vary within cells, with laws of storage and capacities that vary; there
+the bound is that of the step.
 
 Strips are problems on the unit square or cube that depend on x alone, whose κ is nearly 0 in vertices or in cells. With
 κ = a e eᵀ + r (I − e_x e_xᵀ), e = (1, s, 0), the flux is σ = (C − F)(1, s, 0), F = ∫f: u = U at both ends makes
@@ -24,7 +22,6 @@ from functools import cached_property
 
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -40,8 +37,6 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.cell_shapes import corners
-from signorini_fenicsx.discrete.datum import DEGREES
-from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.expressions import read, values
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
@@ -56,10 +51,6 @@ from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
 CONTRAST = 1e6
-DRAWS = 60
-"""Trains of pulses of which one is chosen."""
-FINE = 24
-"""Degree of the quadrature on the finer mesh."""
 
 
 @dataclass(frozen=True)
@@ -125,43 +116,6 @@ def problem_of(rng: np.random.Generator, coarse: Domain, jumps: str, *, pulled: 
     return on
 
 
-def pulses_of(rng: np.random.Generator, coarse: Domain) -> str:
-    """Pulses along one direction that the program's quadrature on this mesh sees least of many (collective)."""
-    comm, mesh = coarse.mesh.comm, coarse.mesh
-    h = float(np.ptp(coarse.box(), axis=0).max()) * rng.uniform(0.02, 0.4)
-    sharp, hidden = 10 ** rng.uniform(0, 3.5), []
-    for _ in range(DRAWS):
-        k, a = rng.normal(size=mesh.geometry.dim), rng.uniform(0, 2 * np.pi)
-        k *= 2 * np.pi / (h * np.linalg.norm(k)) * rng.choice([1, 2, 3, 5])
-        phase = " + ".join(f"{float(number)!r}*{name}" for number, name in zip(k, "xyz", strict=False))
-        text = f"{10 / h!r}*exp({sharp!r}*(cos({phase} + {a!r}) - 1))"
-        rules = [cell_quadrature(mesh, owned_cells(mesh), degree) for degree in (DEGREES[0], 2 * DEGREES[0])]
-        seen = max((values_in(text, points.x).max(initial=0.0) for rule in rules for points in rule), default=0.0)
-        hidden.append((comm.allreduce(float(seen), MPI.MAX), text))
-    return min(hidden)[1]
-
-
-def values_in(text: str, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Values of a text in points, shape (…, dim)."""
-    shown = values(read(text, "xyz"), x)
-    return np.broadcast_to(shown, x.shape[:-1])
-
-
-def means_of(text: str, domain: Domain) -> tuple[fem.Function, float]:
-    """The means of a text in the cells, and osc: the root of Σ (δ_T/π)²‖f − f_T‖² (collective)."""
-    mesh = domain.mesh
-    means, squares = fem.Function(fem.functionspace(mesh, ("DG", 0))), 0.0
-    sizes = mesh.h(mesh.topology.dim, owned_cells(mesh))
-    for points in cell_quadrature(mesh, owned_cells(mesh), FINE):
-        shown = values_in(text, points.x)
-        found = shown @ points.weights / points.weights.sum()
-        means.x.array[points.cells] = found
-        rest = points.integrals((shown - found[:, None]) ** 2)
-        squares += float(((sizes[points.cells] / np.pi) ** 2 * rest).sum())
-    means.x.scatter_forward()
-    return means, math.sqrt(mesh.comm.allreduce(squares))
-
-
 def in_cells(function: fem.Function, source: Domain, domain: Domain) -> fem.Function:
     """A P0 function on a refinement of its mesh (collective)."""
     if domain is source:
@@ -191,20 +145,6 @@ def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Do
     for _ in range(2):
         fine = refine(fine, owned_cells(fine.mesh))
     return case, coarse, fine, problem_of(rng, coarse, jumps, pulled=pulled)
-
-
-def of_pulses(seed: int, comm: MPI.Comm) -> Row:
-    """Certify a solution for pulses and compare it with one on the finer mesh (collective)."""
-    case, coarse, fine, _ = random_pair(seed, "none", comm)
-    boundary = case.posed(coarse.mesh.geometry.dim).boundary
-    text = pulses_of(np.random.default_rng([seed, 1]), coarse)
-    solution = solve(coarse, Problem(f=text, boundary=boundary), options_of(case))
-    means, missed = means_of(text, fine)
-    finer = solve(fine, Problem(f=means, boundary=boundary), options_of(case))
-    certificate, distance = certify(solution, for_signorini=True), difference(solution, finer)
-    bound, least = certificate.sigma_bound, distance - certify(finer).sigma_bound - missed
-    words = f"{'guaranteed' if certificate.guaranteed else 'not guaranteed'}, error at least {least:.2e}, {text}"
-    return Row(words, distance, bound, certificate.guaranteed and bound < (1 - 1e-9) * least)
 
 
 def _options(case: Case, element: str) -> Options:
@@ -420,11 +360,6 @@ def drawn(rng: np.random.Generator) -> Strip:
 def bound(seed: int, jumps: str, element: str = "RT0") -> list[Found]:
     """Compare with a finer solution (collective)."""
     return _found(lambda: examine(seed, jumps, MPI.COMM_WORLD, element))
-
-
-def pulses(seed: int) -> list[Found]:
-    """Compare for pulses (collective)."""
-    return _found(lambda: of_pulses(seed, MPI.COMM_WORLD))
 
 
 def small(seed: int) -> list[Found]:

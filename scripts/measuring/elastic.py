@@ -14,16 +14,15 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import dolfinx.mesh
 import numpy as np
 import typer
+from boxes import box
 from mpi4py import MPI
 from p2 import Box, solve_p2
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.spaces import build_elastic_spaces
@@ -48,16 +47,13 @@ SIDEWAYS = 0.03
 
 def block(dim: int, n: int, bodies: int = 1) -> Domain:
     """A box of length 2 with n cells along the other edges, cut in the middle if it is two bodies."""
-    make = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[dim]
-    mesh = make(COMM, [[0.0] * dim, [2.0] + [1.0] * (dim - 1)], [2 * n] + [n] * (dim - 1))
-    parts = {
-        f"{name}{end}": lambda x, axis=axis, place=place: np.isclose(x[axis], place)
-        for axis, name in enumerate("xyz"[:dim])
-        for end, place in enumerate((0.0, 2.0 if axis == 0 else 1.0))
-    }
-    if bodies == 2:
-        parts["joint"] = lambda x: np.isclose(x[dim - 1], 0.5)
-    return domain_of(mesh, parts, inner=["joint"] if bodies == 2 else [])
+    cut = 0.5 if bodies == 2 else None
+    return box([0.0] * dim, [2.0] + [1.0] * (dim - 1), [2 * n] + [n] * (dim - 1), COMM, cut=cut)
+
+
+def beside(dim: int) -> list[str]:
+    """The sides of the block in the third direction."""
+    return ["front", "back"] if dim == 3 else []
 
 
 def coarser(dim: int, n: int, factor: float, bodies: int = 1) -> Domain:
@@ -84,26 +80,19 @@ def with_known_set(domain: Domain, solution: ElasticSolution) -> None:
 
 def pressed(dim: int, poisson: float = POISSON) -> ElasticProblem:
     """The block's problem."""
-    last = "xyz"[dim - 1]
-    f, push = loads(dim)
-    free = [f"{last}1", "x1", *(["y0", "y1"] if dim == 3 else [])]
-    g_N = {f"{last}1": [str(x) for x in push]}
-    return ElasticProblem(
-        YOUNG, poisson, f=[str(x) for x in f], g_N=g_N, gap=GAP, boundary=ElasticBoundary([f"{last}0"], neumann=free)
-    )
+    f, push = ([str(x) for x in load] for load in loads(dim))
+    boundary = ElasticBoundary(["bottom"], neumann=["top", "right", *beside(dim)])
+    return ElasticProblem(YOUNG, poisson, f=f, g_N={"top": push}, gap=GAP, boundary=boundary)
 
 
 def rubbing(dim: int, bodies: int, friction: str) -> Elasticity:
     """The block's problem with friction, or as two bodies."""
-    last = "xyz"[dim - 1]
     f, push = loads(dim)
     push[0] = 0.0 if friction == "none" else SIDEWAYS
-    free = ["x1", *(["y0", "y1"] if dim == 3 else [])]
-    touching = Contact(f"{last}0" if bodies == 1 else "joint", gap=GAP, friction=FRICTION[friction])
-    loaded = Neumann(f"{last}1", [str(x) for x in push])
-    held = [Dirichlet(f"{last}0", ["0"] * dim)] if bodies == 2 else []
-    conditions = [touching, loaded, Neumann(free), *held]
-    return Elasticity(YOUNG, POISSON, f=[str(x) for x in f], conditions=conditions)
+    touching = Contact("bottom" if bodies == 1 else "fault", gap=GAP, friction=FRICTION[friction])
+    held = [Dirichlet("bottom", [0] * dim)] if bodies == 2 else []
+    conditions = [touching, Neumann("top", push), Neumann(["right", *beside(dim)]), *held]
+    return Elasticity(YOUNG, POISSON, f=f, conditions=conditions)
 
 
 def loads(dim: int) -> tuple[list[float], list[float]]:
@@ -147,10 +136,9 @@ def print_rubbing(cells: dict[int, tuple[int, ...]], bodies: int, friction: str)
 
 def flowing(dim: int, problem: Callable[..., Any], *material: float) -> Any:
     """A problem in the block with Poiseuille's profile on one side, an open side opposite to it, and walls between."""
-    walls = [f"{axis}{end}" for axis in "xyz"[1:dim] for end in (0, 1)]
     profile = "*".join(f"4*{axis}*(1 - {axis})" for axis in "xyz"[1:dim])
-    inlet = Dirichlet("x0", [profile, *["0"] * (dim - 1)])
-    return problem(*material, conditions=[inlet, Dirichlet(walls, ["0"] * dim), Neumann("x1")])
+    inlet, walls = Dirichlet("left", [profile, *[0] * (dim - 1)]), Dirichlet(["bottom", "top", *beside(dim)], [0] * dim)
+    return problem(*material, conditions=[inlet, walls, Neumann("right")])
 
 
 def solved_once(domain: Domain, solution: ElasticSolution, tuning: Tuning) -> tuple[float, int]:
@@ -283,10 +271,7 @@ TOP = ("-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x")
 
 def low_block(n: int) -> Domain:
     """The block with so many cells along its height."""
-    mesh = dolfinx.mesh.create_box(MPI.COMM_WORLD, [[0.0, 0.0, 0.0], [1.0, 1.0, 0.5]], [2 * n, 2 * n, n])
-    places = {"bottom": (2, 0.0), "top": (2, 0.5), "left": (0, 0.0), "right": (0, 1.0)}
-    places |= {"front": (1, 0.0), "back": (1, 1.0)}
-    return domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in places.items()})
+    return box([0.0, 0.0, 0.0], [1.0, 1.0, 0.5], [2 * n, 2 * n, n])
 
 
 def twisted_problem(law: Tresca | Coulomb, top: tuple[str, str, str] = TOP) -> Elasticity:

@@ -21,9 +21,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any
 
-import dolfinx.mesh
 import numpy as np
 import typer
+from boxes import box, grid
+from boxes import sides as sides_of
 from mpi4py import MPI
 
 from signorini_fenicsx.api import (
@@ -42,7 +43,6 @@ from signorini_fenicsx.api import (
     load_case,
     solve_case,
 )
-from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete.pair_overviews import overviews
 from signorini_fenicsx.discrete.pairing import joints
@@ -62,50 +62,27 @@ def height(numbers: Sequence[int]) -> float:
     return numbers[-1] / numbers[0]
 
 
-def block(numbers: Sequence[int], low: float, high: float, bend: float = 1.0) -> dolfinx.mesh.Mesh:
-    """A block between two heights, as wide as 1, whose vertices are moved along the first axis by x → x^bend."""
-    dim = len(numbers)
-    ends = [[0.0] * (dim - 1) + [low], [1.0] * (dim - 1) + [high]]
-    make: Any = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
-    kind = dolfinx.mesh.CellType.triangle if dim == 2 else dolfinx.mesh.CellType.tetrahedron
-    mesh: dolfinx.mesh.Mesh = make(COMM, ends, list(numbers), kind)
-    mesh.geometry.x[:, 0] **= bend
-    return mesh
-
-
-def parts_of(dim: int, places: dict[str, float]) -> dict[str, Callable[[Array], Mask]]:
-    """Functions that choose the parts at some heights, and the sides."""
-
-    def at(place: float) -> Callable[[Array], Mask]:
-        return lambda x: np.isclose(x[dim - 1], place)
-
-    def side(axis: int, place: float) -> Callable[[Array], Mask]:
-        return lambda x: np.isclose(x[axis], place)
-
-    sides = {f"x{axis}{end}": side(axis, float(end)) for axis in range(dim - 1) for end in (0, 1)}
-    return {name: at(place) for name, place in places.items()} | sides
-
-
 def inner(numbers: Sequence[int]) -> Domain:
     """Both blocks in one mesh, which is cut along their faces."""
     (*beside, last), high = numbers, height(numbers)
-    places = {"bottom": -high, "face": 0.0, "top": high}
-    mesh = block([*beside, 2 * last], -high, high)
-    return domain_of(mesh, parts_of(len(numbers), places), inner=["face"])
+    return box([0.0] * len(beside) + [-high], [1.0] * len(beside) + [high], [*beside, 2 * last], cut=0.0)
 
 
 def paired(upper: Sequence[int], lower: Sequence[int], bend: float = 1.0) -> Domain:
-    """Two blocks with meshes of their own."""
-    dim, high, deep = len(upper), height(upper), height(lower)
-    up = domain_of(block(upper, 0.0, high), parts_of(dim, {"face": 0.0, "top": high}))
-    low = domain_of(block(lower, -deep, 0.0, bend), parts_of(dim, {"bottom": -deep, "face": 0.0}))
-    return domain_of_bodies({"up": up, "low": low}, pairs=[["up.face", "low.face"]])
+    """Two blocks with meshes of their own; the vertices of the lower one are moved by x → x^bend."""
+    flat, bodies = [0.0] * (len(upper) - 1), {}
+    for name, numbers, bottom, top in (("up", upper, 0.0, height(upper)), ("low", lower, -height(lower), 0.0)):
+        low, high = [*flat, bottom], [*(x + 1 for x in flat), top]
+        mesh = grid(low, high, numbers)
+        mesh.geometry.x[:, 0] **= bend if name == "low" else 1.0
+        bodies[name] = domain_of(mesh, sides_of(low, high))
+    return domain_of_bodies(bodies, pairs=[["up.bottom", "low.top"]])
 
 
 def problem(dim: int, meeting: Any, names: Sequence[str], high: float = 1.0, *, scalar: bool = False) -> Any:
     """Blocks that are pressed on one another; the top is tilted, so that half of the faces part."""
-    top, bottom = (next(name for name in names if name.endswith(end)) for end in ("top", "bottom"))
-    sides = [name for name in names if name.rpartition(".")[2].startswith("x")]
+    top, bottom = ("up.top", "low.bottom") if isinstance(meeting, Pair) else ("top", "bottom")
+    sides = [name for name in names if name.rpartition(".")[2] in ("left", "right", "front", "back")]
     if scalar:
         return Diffusion(f=1, conditions=[Neumann(sides), Dirichlet(bottom, 0), Dirichlet(top, "sin(3*x)"), meeting])
     tilted = [*["0"] * (dim - 1), f"{high}*(-0.02 + 0.08*x)"]
@@ -156,8 +133,8 @@ def cost(size: int, dims: Sequence[int]) -> None:
 
 def both(numbers: Sequence[int]) -> Iterator[tuple[Domain, Any]]:
     """The two domains of `cost`, with what is between the blocks."""
-    yield inner(numbers), Contact("face")
-    yield paired(numbers, numbers, bend=1.2), Pair("up.face", "low.face")
+    yield inner(numbers), Contact("fault")
+    yield paired(numbers, numbers, bend=1.2), Pair("up.bottom", "low.top")
 
 
 def for_forms(dim: int) -> None:
@@ -173,7 +150,7 @@ def iterations(dim: int) -> None:
         domain, line = paired([n] * dim, [m] * dim), ""
         for law in (None, Tied()):
             counts = list[int]()
-            posed = problem(dim, Pair("up.face", "low.face", law), [*domain.parts])
+            posed = problem(dim, Pair("up.bottom", "low.top", law), [*domain.parts])
             options = Options(tuning=Tuning(direct_up_to=0), predict=False)
             solution = Solver(domain, posed).solve(
                 posed, options, on_step=lambda step, counts=counts: counts.append(step.linear_iterations)
@@ -184,7 +161,7 @@ def iterations(dim: int) -> None:
 
 def large(size: int, *, scalar: bool) -> None:
     """Print seconds and memory of a pair with 2 size² slave facets, after a small one for which forms are compiled."""
-    meeting = Pair("up.face", "low.face", Tied() if scalar else None)
+    meeting = Pair("up.bottom", "low.top", Tied() if scalar else None)
     for number in (2, size):
         domain = paired([number, number, 1], [number, number, 1], bend=1.2)
         say(f"{2 * number**2} slave facets, {domain.cells} cells, {COMM.size} ranks")

@@ -1,20 +1,19 @@
-"""Seconds of whole runs, of phases of the solver, of repeated solves, of steps in time, and of gradients."""
+"""Seconds and memory of runs: over ranks, of repeated solves, of steps in time, and of gradients."""
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-import cProfile
+import ast
 import gc
 import json
 import os
-import pstats
+import re
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-import timeit
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,7 +23,6 @@ import typer
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.api import (
     Contact,
@@ -39,179 +37,15 @@ from signorini_fenicsx.api import (
     Solver,
     Wall,
     evolve,
-    load_case,
     solve,
-    solve_case,
 )
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 
 COMM = MPI.COMM_WORLD
-YARDSTICK = [sys.executable, str(Path(__file__).parents[1] / "measure.py"), "yardstick"]
-PHASES = {
-    "mesh": ("mesh",),
-    "assembly": ("assembly",),
-    "sets and solution": ("prediction", "solve"),
-    "KKT": ("kkt",),
-    "certificate": ("certificate",),
-    "output": ("output",),
-}
-WARM = ("solve", "example1", "--h", "0.3", "-q")
-
-
-def whole_runs(
-    run: Annotated[list[str], typer.Option(help="CASE:H; may be repeated.")] = ["example1:2^-8", "cube:2^-4"],  # noqa: B006
-    rounds: Annotated[int, typer.Option(min=1)] = 3,
-) -> None:
-    """Whole runs as multiples of the yardstick f₀, one linear solve with a known contact set (`yardstick.py`).
-
-    A run counts from the start of the command to its end, with certificate and output, on a mesh that it makes itself.
-    In each round a run on one rank, one on two ranks and the yardstick follow each other. Ratios are taken within a
-    round, and their least and largest values are printed. The machine should be idle.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        launch([*command(), *WARM, "--output", f"{folder}/warm"], 1)
-        for each in run:
-            case, h = each.split(":")
-            in_rounds(case, h, rounds, Path(folder))
-
-
-def in_rounds(case: str, h: str, rounds: int, folder: Path) -> None:
-    """Alternate the three and print their ratios."""
-    seconds: dict[str, list[float]] = {}
-    ratios: dict[str, list[float]] = {}
-    about = {}
-    for number in range(rounds + 1):
-        totals = {}
-        for ranks in (1, 2):
-            output = folder / f"{case}-{ranks}"
-            totals[ranks] = launch([*command(), "solve", case, "--h", h, "-q", "--output", str(output)], ranks)[0]
-            about[ranks] = json.loads((output / "summary.json").read_text(encoding="utf-8"))
-        yardstick = json.loads(launch([*YARDSTICK, case, h], 1)[1])
-        if number == 0:  # compiles, and fills the caches of the system
-            continue
-        f = yardstick["total"]
-        timings = about[1]["timings"]
-        parts = {name: sum(timings.get(key, 0.0) for key in keys) for name, keys in PHASES.items()}
-        rest = totals[1] - sum(parts.values())
-        for name, value in {"whole run": totals[1], **parts, "start and end": rest}.items():
-            seconds.setdefault(name, []).append(value)
-            ratios.setdefault(name, []).append(value / f)
-        seconds.setdefault("f₀", []).append(f)
-        ratios.setdefault("one rank / two ranks", []).append(totals[1] / totals[2])
-        solving = [sum(about[n]["timings"].get(key, 0.0) for key in ("assembly", "prediction", "solve")) for n in about]
-        ratios.setdefault("solver, one rank / two ranks", []).append(solving[0] / solving[1])
-    facets = yardstick["unknowns"]
-    print(f"{case}, h = {h}: {about[1]['cells']} cells, {facets} facets, {about[1]['mesh']}")
-    for name in seconds:
-        values = f"{min(seconds[name]):8.2f} to {max(seconds[name]):.2f} s"
-        print(f"  {name:20}{values:22}" + (span(ratios[name]) + " f₀" if name in ratios else ""))
-    for name in ("one rank / two ranks", "solver, one rank / two ranks"):
-        print(f"  {name:30} {span(ratios[name])}")
-    for ranks, summary in about.items():
-        print(f"  memory on {ranks}: {summary['peak_memory'] / facets:.0f} bytes per facet over all ranks")
-
-
-def span(values: list[float]) -> str:
-    """The least and the largest."""
-    return f"{min(values):.2f} to {max(values):.2f}"
-
-
-def command() -> list[str]:
-    """The program of this environment."""
-    return [str(Path(sys.executable).with_name("signorini"))]
-
-
-def launch(arguments: list[str], ranks: int) -> tuple[float, str]:
-    """Seconds of a command, and the last line that it prints."""
-    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    began = time.perf_counter()
-    done = subprocess.run(
-        [*launcher, *arguments], check=True, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"}
-    )
-    return time.perf_counter() - began, (done.stdout.splitlines() or [""])[-1]
-
-
-SOLVER = ("assembly", "prediction", "solve")
-"""Its phases."""
-FUNCTIONS = {
-    "spaces": ("mesh.py:create_submesh", "function.py:functionspace"),
-    "data": ("data.py:project_data",),
-    "patterns of matrices": ("petsc.py:create_matrix",),
-    "recovery": ("facet_system.py:recover",),
-    "linear solves": ("petsc.py:solve",),
-    "test of the sets in each iteration": ("facet_solver.py:__call__",),
-    "solves on patches": ("prediction.py:_settled_nearby",),
-    "conditions": ("auxiliary_space.py:update", "kept_factors.py:impose"),
-}
-"""Functions of the program and of DOLFINx, by file and name; some contain others."""
-EVENTS = {
-    "sweeps": ("MatSOR",),
-    "products with matrices": ("MatMult", "MatResidual"),
-    "between levels": ("MatMultAdd", "MatMultTranspose"),
-    "Galerkin products": ("MatPtAPNumeric", "MatPtAPSymbolic"),
-    "vectors": ("VecTDot", "VecNorm", "VecAXPY", "VecAYPX", "VecAXPBYCZ", "VecCopy", "VecPointwiseMult", "VecSet"),
-}
-"""PETSc's events, mostly within the linear solves; a residual contains a product."""
-
-
-def phases(run: Annotated[list[str], typer.Argument(help="CASE:H, such as example1:2^-8.")]) -> None:
-    """Where the seconds of the solver go: microseconds per facet, for one solve on one core.
-
-    It solves a case twice in one process, so that nothing is compiled and no file is read for the first time, and
-    prints the second solve, and what the memory can do. The machine should be idle.
-    """
-    PETSc.Log.begin()
-    for each in run:
-        name, h = each.split(":")
-        twice(load_case(name).with_values({"solve.h": h}))
-    print(f"memory: {bandwidth():.1f} GB/s")
-
-
-def bandwidth() -> float:
-    """GB/s that one core reads and writes, adding two vectors into a third."""
-    a, b, c = np.zeros((3, 2 * 10**7))
-    seconds = min(timeit.repeat(lambda: np.add(a, b, out=c), number=1, repeat=5))
-    return 3 * a.nbytes / seconds / 1e9
-
-
-def twice(case: Case) -> None:
-    """Solve twice and print the second solve."""
-    solve_case(case)
-    profile, before = cProfile.Profile(), seconds_of_events()
-    solution = profile.runcall(solve_case, case)
-    events = {name: seconds - before[name] for name, seconds in seconds_of_events().items()}
-    facets, timings = solution.outcome.dofs, solution.timings
-    solving = sum(timings.get(phase, 0.0) for phase in SOLVER)
-    iterations = max(step.linear_iterations for step in solution.outcome.history)
-    print(f"{case.name}, h = {case.solve.h:g}: {facets} facets, the last solve took {iterations} iterations")
-    rows = {"solver": solving, **{key: timings[key] for key in SOLVER if key in timings}}
-    for name, seconds in {**rows, **seconds_of_functions(profile), **events}.items():
-        print(f"  {name:36}{1e6 * seconds / facets:8.2f}")
-    print(f"  {facets / solving / 1000:.0f}k facets per second")
-
-
-def seconds_of_functions(profile: cProfile.Profile) -> dict[str, float]:
-    """Seconds in each row of `FUNCTIONS`, with what they call."""
-    seconds = dict.fromkeys(FUNCTIONS, 0.0)
-    for (file, _, function), (*_, total, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
-        for row, names in FUNCTIONS.items():
-            if f"{Path(file).name}:{function}" in names:
-                seconds[row] += total
-    return seconds
-
-
-def seconds_of_events() -> dict[str, float]:
-    """Seconds so far in each row of `EVENTS`, in the stages of the solver, which the program names after its phases."""
-    stages = [PETSc.Log.Stage(name).id for name in SOLVER]
-    return {
-        row: sum(PETSc.Log.Event(name).getPerfInfo(stage)["time"] for name in names for stage in stages)
-        for row, names in EVENTS.items()
-    }
 
 
 def problems(number: int, boundary: Boundary, *, new_kappa: bool) -> list[Problem]:
@@ -398,3 +232,178 @@ def of_solves(h: float, make: Any) -> None:
             f"{domain.cells} cells: solve {solved - began:.2f} s, gradient {seconds:.2f} s, "
             f"{seconds / (solved - began):.2f} of it; {memory:.0f} MB before, {peak():.0f} MB after"
         )
+
+
+DIM = {"example1": 2, "cube": 3}
+SIZES = {"example1": 2.0**-8, "cube": 2.0**-4}
+QUICK = {"example1": 2.0**-7, "cube": 2.0**-3}
+PHASES = ("mesh", "assembly", "prediction", "solve", "kkt", "certificate", "output")
+SOLVER = ("assembly", "prediction", "solve")
+REDUCTIONS = ("VecTDot", "VecDot", "VecNorm", "VecMDot", "VecDotNorm2")
+"""Operations on vectors that need one reduction each; PETSc does not count these."""
+RANKS = (1, 2, 4, 8, 16)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the program.
+
+    Attributes:
+        case: The case.
+        ranks: Number of ranks.
+        h: Largest cell diameter asked for.
+        cells: Cells of the mesh.
+        unknowns: Facets, the unknowns of the hybrid backend.
+        seconds: From the start of the command to its end.
+        timings: Seconds per phase.
+        memory: Peak memory in bytes, summed over ranks.
+        empty: The same for a run on a few cells.
+        iterations: Iterations of the linear solver, those of predictions included.
+        solves: Calls of the linear solver.
+        messages: Messages per rank in assembly and solver, the mean over ranks.
+        sent: Bytes per rank in these messages.
+        reductions: Reductions of all ranks in assembly and solver.
+    """
+
+    case: str
+    ranks: int
+    h: float
+    cells: int
+    unknowns: int
+    seconds: float
+    timings: dict[str, float]
+    memory: int
+    empty: int
+    iterations: int
+    solves: int
+    messages: float
+    sent: float
+    reductions: int
+
+    @property
+    def per_facet(self) -> float:
+        """Bytes per facet over all ranks, without empty processes."""
+        return (self.memory - self.empty) / self.unknowns
+
+
+def scaling(
+    quick: Annotated[bool, typer.Option(help="Small meshes, up to 4 ranks.")] = False,
+    rounds: Annotated[
+        int, typer.Option(min=1, help="Repeats of the runs whose seconds count; the fastest is kept.")
+    ] = 3,
+    output: Annotated[Path, typer.Option(help="Where the results go.")] = Path("results/scaling"),
+) -> None:
+    """How a whole run scales with ranks: seconds by phase, memory, and how often ranks talk to each other.
+
+    Three experiments, each for a case in the plane and one in space:
+
+    strong: the same mesh on one and on two ranks;
+    weak: as many cells per rank on two ranks as on one;
+    memory: the same mesh on 1, 2, 4, 8 and 16 ranks, more than there are cores, so the seconds mean nothing there. What
+    an empty process has (a run on a few cells with as many ranks) is taken off. Messages and reductions are those that
+    PETSc counts while it assembles and solves, and the products and norms of vectors, each of which is a reduction.
+
+    The results are `scaling.json` and `table.md`. The machine should be idle; `--quick` is a trial on small meshes.
+    """
+    sizes, ranks = (QUICK, RANKS[:3]) if quick else (SIZES, RANKS)
+    output.mkdir(parents=True, exist_ok=True)
+    runs: dict[str, list[Run]] = {"strong": [], "weak": [], "memory": []}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for case, h in sizes.items():
+            empty = {n: measured(case, 1.0, n, folder, 0, log=False).memory for n in ranks}  # also fills the caches
+            one, two = (best(case, h, n, folder, empty[n], rounds) for n in (1, 2))
+            runs["strong"] += [one, two]
+            runs["weak"] += [one, best(case, h * 0.5 ** (1 / DIM[case]), 2, folder, empty[2], rounds)]
+            runs["memory"] += [measured(case, h, n, folder, empty[n]) for n in ranks]
+    by_name = {name: [asdict(run) for run in each] for name, each in runs.items()}
+    (output / "scaling.json").write_text(json.dumps(by_name, indent=2) + "\n", encoding="utf-8")
+    tables = of_time("strong", runs["strong"]), of_time("weak", runs["weak"]), of_ranks(runs["memory"])
+    text = "\n\n".join("\n".join(lines) for lines in tables)
+    (output / "table.md").write_text(text + "\n", encoding="utf-8")
+    print(text)
+
+
+def best(case: str, h: float, ranks: int, folder: Path, empty: int, rounds: int) -> Run:
+    """The fastest of several runs."""
+    runs = [measured(case, h, ranks, folder, empty, log=False) for _ in range(rounds)]
+    return min(runs, key=lambda run: run.seconds)
+
+
+def measured(case: str, h: float, ranks: int, folder: Path, empty: int, *, log: bool = True) -> Run:
+    """Run the program and read what it has written; `log` lets PETSc count, which takes some time."""
+    place, counts = folder / "run", folder / "log.py"
+    program = Path(sys.executable).with_name("signorini")
+    command = ["mpirun", "-n", str(ranks), str(program), "solve", case, "--h", str(h), "-q", "--output", str(place)]
+    command += ["--", "-log_view", f":{counts}:ascii_info_detail"] if log else []
+    began = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    seconds = time.perf_counter() - began
+    summary = json.loads((place / "summary.json").read_text(encoding="utf-8"))
+    return Run(
+        case=case,
+        ranks=ranks,
+        h=h,
+        cells=summary["cells"],
+        unknowns=summary["dofs"],
+        seconds=seconds,
+        timings=summary["timings"],
+        memory=summary["peak_memory"],
+        empty=empty,
+        **(counted(counts) if log else {"iterations": 0, "solves": 0, "messages": 0.0, "sent": 0.0, "reductions": 0}),
+    )
+
+
+def counted(path: Path) -> dict[str, Any]:
+    """What PETSc has counted in assembly and solver, from its log, whose lines are assignments in Python."""
+    line = re.compile(r'^Stages\["([^"]+)"\]\["([^"]+)"\]\[(\d+)\] = (\{.*\})$', re.MULTILINE)
+    events: dict[str, list[dict[str, float]]] = {}
+    ranks = 0
+    for stage, event, rank, values in line.findall(path.read_text(encoding="utf-8")):
+        ranks = max(ranks, int(rank) + 1)
+        if stage in SOLVER and (rank == "0" or event == "summary"):
+            events.setdefault(event, []).append(ast.literal_eval(values) | {"rank": int(rank)})
+
+    def total(event: str, key: str, *, of_all: bool = False) -> float:
+        return sum(values[key] for values in events.get(event, []) if of_all or values["rank"] == 0)
+
+    counted = total("summary", "numReductions") + sum(total(event, "count") for event in REDUCTIONS)
+    return {
+        "iterations": round(total("PCApply", "count")),
+        "solves": round(total("KSPSolve", "count")),
+        "messages": total("summary", "numMessages", of_all=True) / ranks,
+        "sent": total("summary", "messageLength", of_all=True) / ranks,
+        "reductions": round(counted),
+    }
+
+
+def of_time(name: str, runs: list[Run]) -> list[str]:
+    """A table of seconds by phase, in pairs of runs on one and on two ranks."""
+    lines = [
+        f"| {name} | ranks | cells | whole run | {' | '.join(PHASES)} | start and end |",
+        "|---|" + "---:|" * (len(PHASES) + 4),
+    ]
+    for one, two in zip(runs[::2], runs[1::2], strict=True):
+        for run in (one, two):
+            phases = [run.timings.get(phase, 0.0) for phase in PHASES]
+            cells = [*(f"{value:.2f}" for value in phases), f"{run.seconds - sum(phases):.2f}"]
+            lines.append(f"| {run.case} | {run.ranks} | {run.cells} | {run.seconds:.2f} s | {' | '.join(cells)} |")
+        ratios = [one.timings.get(phase, 0.0) / max(two.timings.get(phase, 0.0), 1e-9) for phase in PHASES]
+        work = (two.cells / one.cells) if name == "weak" else 1.0
+        shown = [f"{work * ratio:.2f}" for ratio in (one.seconds / two.seconds, *ratios)]
+        lines.append(f"| cells per second, two / one | | | {' | '.join(shown)} | |")
+    return lines
+
+
+def of_ranks(runs: list[Run]) -> list[str]:
+    """A table of memory and communication over ranks."""
+    names = ["case", "ranks", "facets", "bytes per facet", "memory / that of one rank", "iterations", "solves"]
+    names += ["messages per rank", "kB per message", "reductions"]
+    lines = [f"| {' | '.join(names)} |", "|---|" + "---:|" * (len(names) - 1)]
+    for run in runs:
+        one = next(each for each in runs if each.case == run.case and each.ranks == 1)
+        memory = f"{run.per_facet:.0f}", f"{run.per_facet / one.per_facet:.2f}"
+        talk = f"{run.messages:.0f}", f"{run.sent / max(run.messages, 1) / 1000:.2f}"
+        numbers = (run.ranks, run.unknowns, *memory, run.iterations, run.solves, *talk, run.reductions)
+        lines.append(f"| {run.case} | {' | '.join(map(str, numbers))} |")
+    return lines

@@ -10,7 +10,7 @@ import pytest
 import ufl
 from dolfinx import fem
 from elastic import box, half_plane_contact
-from makers.body_bounds import energy_difference, measured
+from makers.bodies import energy_difference, measured
 from measuring.korn import bound_of, korn_constant, moment_error, trace_constant
 from mpi4py import MPI
 

@@ -2,7 +2,7 @@
 
 import pytest
 from elastic import box
-from makers.body_bounds import energy_difference
+from makers.bodies import energy_difference
 from mpi4py import MPI
 
 from signorini_fenicsx.certificate.certify import certify

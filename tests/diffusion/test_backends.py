@@ -2,6 +2,7 @@
 
 import itertools
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -10,11 +11,11 @@ import numpy as np
 import pytest
 from agreement import assert_same_iterates
 from made_cases import make_case
-from measuring.elimination import eliminated
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import LinearSolveFailure, NumericalFailure
+from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -22,11 +23,15 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1
+from signorini_fenicsx.discrete.cell_shapes import arms, corners
+from signorini_fenicsx.discrete.hybrid_system import eliminate
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, facet_normals
+from signorini_fenicsx.discrete.matrices import OfCells
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.two_level import choose_smoother
 from signorini_fenicsx.meshes.uniform import refined_uniformly
-from signorini_fenicsx.physics.diffusion.discrete.data import project_data
-from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.solve import hybrid
 from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
@@ -85,6 +90,24 @@ def test_multigrid_iterations_do_not_grow():
         assert max(vars(solution.kkt).values()) < 1e-9
 
 
+def cells_of(spaces: Spaces, data: Data) -> Iterator[OfCells]:
+    """The cells after elimination: fluxes that are constant, and (x − x_T)/(d|T|) for the one with a divergence."""
+    mesh, dim, dofs = spaces.mesh, spaces.mesh.topology.dim, cell_dofs(spaces.crouzeix_raviart)
+    inverses = np.broadcast_to(np.linalg.inv(data.matrices(spaces)), (len(dofs), dim, dim))
+    c = np.zeros(len(dofs)) if data.c_h is None else owned_values(data.c_h)
+    for numbers in blocks_of_cells(mesh):
+        measure, arm, inverse = spaces.cell_measures[numbers], arms(mesh, numbers), inverses[numbers]
+        tractions = np.full((len(numbers), dim + 1, dim + 1), 1 / (dim + 1))
+        tractions[:, :, :dim] = facet_normals(corners(mesh, numbers))
+        product = np.zeros_like(tractions)
+        product[:, :dim, :dim] = measure[:, None, None] * inverse
+        moments = np.einsum("nvi,nij,nvj->n", arm, inverse, arm) / ((dim + 1) * (dim + 2))
+        product[:, dim, dim] = moments / (dim**2 * measure)
+        reaction = (c[numbers] * measure)[:, None, None]
+        block = eliminate(numbers, None, tractions, product, np.zeros((len(numbers), 1)), 0.0, reaction)
+        yield dofs[numbers], block.matrix
+
+
 @pytest.mark.parametrize("name", ["example1", "crack", "cube"])
 def test_closed_form_is_the_elimination_of_the_cells(name: str):
     """With κ a matrix that varies, cu, and jumps inside the domain."""
@@ -92,7 +115,7 @@ def test_closed_form_is_the_elimination_of_the_cells(name: str):
     kappa = [[f"{3 if i == j else 0.5} + x*y" for j in range(dim)] for i in range(dim)]
     case = load_case(name).with_values({"solve.h": 0.4, "problem.kappa": kappa, "problem.c": "2 + x"})
     system = FacetSystem(spaces := solve_case(case).spaces, data := project_data(spaces, case.posed(dim)))
-    difference = eliminated(system, data)
+    difference = system.sum_of(cells_of(spaces, data))
     difference.axpy(-1.0, system.matrix)
     assert difference.norm() < 1e-13 * system.matrix.norm()
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from commands import run
-from fuzzing.broken import Broken
+from fuzzing import Broken
 from fuzzing.judge import BAD, Ending, judged, put_files_of_the_user, snapshot
 
 SCRIPT = str(Path(__file__).parents[2] / "scripts" / "fuzz.py")

@@ -46,9 +46,9 @@ class Loads:
 class FacetSystem(TraceSystem):
     """The mixed method by its Crouzeix-Raviart form (see `forms/crouzeix_raviart.py`), which eliminates in closed form.
 
-    By `scripts/measure.py elimination` it is assembled several times as fast as by the elimination of `HybridSystem`.
-    Inside the domain the unknown of a facet of Γ_S is the jump of u, see `Sides`. Laws in Ω change the sources under
-    the conditions of the cells, and so the matrix and the load. σ is given by ∫σ·n out of each cell through each facet.
+    It is assembled several times as fast as by the elimination of `HybridSystem`. Inside the domain the unknown of a
+    facet of Γ_S is the jump of u, see `Sides`. Laws in Ω change the sources under the conditions of the cells, and so
+    the matrix and the load. σ is given by ∫σ·n out of each cell through each facet.
 
     Attributes:
         spaces: The discrete spaces.

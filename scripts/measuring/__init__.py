@@ -1,1 +1,0 @@
-"""What `measure.py` measures."""
