@@ -18,6 +18,7 @@ from PIL import Image
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.certificate.adaptive import FIRST_MESH
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.meshes.shapes import shape_of
@@ -90,8 +91,11 @@ def save(picture: Image.Image, path: Path, width: int) -> None:
 
 
 def draw_adapted() -> None:
-    """Refine example5 until one per cent is certified, and keep the whole picture of the last mesh."""
-    solution, certificate = adapt_case(load_case("example5"), target=0.01)
+    """Refine example5 as `signorini adapt` until one per cent is certified, and keep the whole picture at the end."""
+    case = load_case("example5")
+    assert case.geometry.shape is not None
+    first = case.with_values({"solve.h": shape_of(case.geometry.shape).diameter / FIRST_MESH})
+    solution, certificate = adapt_case(first, target=0.01)
     with TemporaryDirectory() as folder:
         write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
         save(Image.open(Path(folder) / "overview.png"), GALLERY / "order_two_overview.png", 2 * WIDTH)
