@@ -1,4 +1,4 @@
-"""Runs a Python module in a confined process, for files by unknown people, which may also crash the libraries.
+"""A confined process that runs a Python module, for files by unknown people, which may also crash the libraries.
 
 The process has limits of time, memory and file size, an empty environment and an empty working folder, and it dies with
 its parent. Before it reads an untrusted file it gives up rights (`seal`, on Linux with x86-64 or ARM): to start

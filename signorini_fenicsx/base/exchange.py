@@ -1,4 +1,4 @@
-"""Moves finished files to their place, safely even if the program is killed, and without touching files of the user.
+"""The way of finished files to their place, safe even if the program is killed, and without touching files of the user.
 
 A run with results in `x` works in the folder `.x.partial` beside it. There is a lock, which the system releases when
 the process dies, and a folder into which the files are written. When all files are there, this folder is renamed to

@@ -1,4 +1,4 @@
-"""Distributes tasks dynamically to groups of ranks within one mpirun."""
+"""Groups of ranks within one mpirun, each of which gets the next task when it is free."""
 
 import os
 import time

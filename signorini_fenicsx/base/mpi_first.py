@@ -1,4 +1,4 @@
-"""Keeps the import order that the wheel `dolfinx-solver-real` needs, wherever DOLFINx is imported.
+"""The import order that the wheel `dolfinx-solver-real` needs, wherever DOLFINx is imported.
 
 The wheel needs `dolfinx_solver`, which loads MPI, before DOLFINx, PETSc and Basix. Debian's DOLFINx has no such module.
 """

@@ -27,7 +27,7 @@ class Activity:
 
 
 class Follower(Protocol):
-    """Shows what is going on."""
+    """What shows what is going on."""
 
     def moved(self, under_way: list[Activity], *, only_detail: bool) -> None:
         """Take note of what is under way now, the innermost last; maybe only a detail of that has changed."""

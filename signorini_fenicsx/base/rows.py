@@ -16,7 +16,7 @@ DIGITS = 12
 
 
 class Exchange:
-    """Sends rows to ranks, and answers back. All methods are collective.
+    """A way of rows to ranks, and of answers back. All methods are collective.
 
     Rows arrive in the order of their senders, and those of one sender in its order.
     """

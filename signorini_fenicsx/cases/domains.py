@@ -24,7 +24,7 @@ def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
 
 
 class LastMesh:
-    """Meshes cases as `mesh_case`, and keeps the last mesh: its forms and theirs are there for the next case on it."""
+    """A maker of meshes like `mesh_case` that keeps the last one: all its forms are there for the next case on it."""
 
     def __init__(self) -> None:
         self._key: object = None

@@ -83,7 +83,7 @@ class PartLists(Section):
         return lists if self.inner else {key: parts for key, parts in lists.items() if key != "inner"}
 
     def with_lists(self, lists: dict[str, list[str]]) -> Named:
-        """These parts and those of other sections."""
+        """The parts of this section and those of others."""
         kinds = [key for key in keys_of(type(self)) if key not in ("inner", "sides", "impervious")]
         return Named(self.named | lists, kinds)
 

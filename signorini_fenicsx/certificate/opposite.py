@@ -68,7 +68,7 @@ class Opposite:
     def of(
         cls, joint: Joint, spaces: LinearTraces, slaves: FacetCoefficients, masters: FacetCoefficients
     ) -> "Opposite":
-        """Those of a pair on all facets of both sides, or some; each piece is on one rank, and there or not."""
+        """The two sides of a pair on all facets of both sides, or some; each piece is on one rank, and there or not."""
         pieces = joint.pieces.take(np.isin(joint.pieces.slave, slaves.rows))
         of = (slaves.rows, pieces.slave), (masters.rows, pieces.master - joint.first)
         rows = [np.searchsorted(some, each) for some, each in of]

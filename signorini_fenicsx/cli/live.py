@@ -1,4 +1,4 @@
-"""Shows what is under way: a line that changes on a terminal, elsewhere a line for what took long."""
+"""What shows what is under way: a line that changes on a terminal, elsewhere a line for what took long."""
 
 import contextlib
 import time

@@ -1,4 +1,4 @@
-"""Compares contact sets and fields of two solutions on one domain; their meshes need not match."""
+"""Comparison of contact sets and fields of two solutions on one domain; their meshes need not match."""
 
 import math
 from collections.abc import Mapping

@@ -226,7 +226,7 @@ class Renewable[I: Pairs](Backend[I], Protocol):
 
 
 class BackendFactory(Protocol):
-    """Makes a backend: a class of backends, or a function (collective)."""
+    """What makes a backend: a class of backends, or a function (collective)."""
 
     def __call__(self, spaces: Any, data: Any) -> Backend[Iterate]:
         """Assemble.

@@ -118,7 +118,7 @@ class Outcome:
 
 
 class History:
-    """Builds the history: one step per iteration, whose conditions are compared with those before."""
+    """The history while it grows: one step per iteration, whose conditions are compared with those before."""
 
     def __init__(self, comm: MPI.Comm, on_step: OnStep):
         """Begin without steps.

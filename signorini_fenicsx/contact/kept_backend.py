@@ -9,7 +9,7 @@ from signorini_fenicsx.contact.history import Outcome
 
 
 class KeptBackend:
-    """Makes the backend of each solve, or goes on with that of the last one.
+    """What makes the backend of each solve, or goes on with that of the last one.
 
     Attributes:
         present: The last backend; None before the first and after a solve that failed.

@@ -271,7 +271,7 @@ def settled_change[I: Pairs](backend: Backend[I], start: SiteConditions, biactiv
 
 @dataclass
 class _Safeguard[I: Pairs]:
-    """Notices cycles and ends them, see the module.
+    """What notices cycles and ends them, see the module.
 
     Attributes:
         backend: The backend with the sites.

@@ -107,7 +107,7 @@ BIACTIVE = 1e-8
 
 
 class NotDifferentiable(UserWarning):
-    """Says that a gradient is one of several.
+    """The warning that a gradient is one of several.
 
     Attributes:
         places: The midpoints of the biactive sites, shape (sites, dim).

@@ -74,7 +74,7 @@ class Segments:
     u: Array | None = None
 
     def of(self, name: str) -> Indices:
-        """Those of one kind of sites."""
+        """The segments of one kind of sites."""
         return self.spaces.site_kinds[name].of(self.segment)
 
     def on(self, spaces: MeshSpaces) -> "Segments":

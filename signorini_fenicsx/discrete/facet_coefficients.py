@@ -49,7 +49,7 @@ class FacetCoefficients:
         return self._element.tabulate(0, points)[0, :, :, 0]
 
     def slopes(self, points: Array) -> Array:
-        """Its derivatives by the coordinates of the reference facet, shape (d − 1, points, coefficients)."""
+        """The derivatives by the coordinates of the reference facet, shape (d − 1, points, coefficients)."""
         return self._element.tabulate(1, points)[1:, :, :, 0]
 
     def lengths(self, vectors: Array, bound: Array, moments: Array) -> Array:

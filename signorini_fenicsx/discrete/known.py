@@ -1,4 +1,4 @@
-"""Keeps what was made of data that do not change from one problem to the next."""
+"""What was made of data that do not change from one problem to the next, and is kept."""
 
 import hashlib
 from collections.abc import Callable, Hashable, Sequence

@@ -43,7 +43,7 @@ class Overview:
     takes_distance: bool
 
     def line(self) -> str:
-        """It, in a line."""
+        """The overview in a line."""
         slaves, masters = self.facets
         free = f", {slaves - self.covered} of them free, without a master" if slaves > self.covered else ""
         return (

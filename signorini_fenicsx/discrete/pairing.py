@@ -59,7 +59,7 @@ class Joint:
 
     @property
     def without_law(self) -> Facets:
-        """Those of this rank with no law on them: the masters, and slaves that are tied."""
+        """The facets of this rank with no law on them: the masters, and slaves that are tied."""
         return self.slaves_and_masters if self.pair.tied else self.masters
 
     def of_masters(self, comm: MPI.Intracomm, rows: npt.NDArray) -> npt.NDArray:

@@ -39,7 +39,7 @@ class Remembered:
 
     @classmethod
     def among(cls, spaces: MeshSpaces, laws: Sequence[Law]) -> "Remembered":
-        """Those among these laws."""
+        """The laws with memory among these."""
         return cls(spaces, {i: law for i, law in enumerate(laws) if isinstance(law, LawWithMemory)})
 
     @property

@@ -161,7 +161,7 @@ class Profile:
         return Through(total[0] if sigma.ufl_shape[1:] == () else total[:-1], float(total[-1]))
 
     def measure(self, domain: Domain) -> float:
-        """Its length or area inside the domain (collective)."""
+        """The length or area of the section inside the domain (collective)."""
         along = fem.Function(fenicsx.function_space(domain.mesh, ("DG", 0, (domain.mesh.geometry.dim,))))
         return self.through(domain, along).measure
 

@@ -28,7 +28,7 @@ from signorini_fenicsx.linear.patch import Patch
 
 
 class TraceBackend(PlainBackend):
-    """Solves under one condition per site, for the p and the flux of the kinds of sites in `site_kinds`.
+    """The backend with one condition per site, for the p and the flux of the kinds of sites in `site_kinds`.
 
     The laws of the first kind of sites are `VertexLaws`. Subclasses say what the fields are (`iterate`), and what else
     acts at the sites.

@@ -1,4 +1,4 @@
-"""Refuses bodies, and sides of a crack, that lie on one another in a mesh although they share no facets.
+"""The check that no bodies, or sides of a crack, lie on one another in a mesh although they share no facets.
 
 Each of two such parts has a condition of its own: nothing passes from one to the other, which nobody means who lets
 bodies touch. Only the two sides of a part inside the domain, along which the mesh is cut, belong to each other.
@@ -133,7 +133,7 @@ def check_joined(
 
 
 def _lie(one: str, other: str) -> str:
-    """That two parts lie on one another, in words; "" are facets in no part."""
+    """The words that two parts lie on one another; "" are facets in no part."""
     if one == other:
         return f"facets of part '{one}' lie on one another" if one else "facets in no part lie on one another"
     return f"{f"part '{one}'" if one else 'facets in no part'} and part '{other}' lie on one another"

@@ -1,4 +1,4 @@
-"""Looks at an expression on simplices, first in boxes that contain many of them, then in parts of each.
+"""A look at an expression on simplices, first in boxes that contain many of them, then in parts of each.
 
 *Boxes.* They are smaller and smaller ones, until they are small enough for what is asked.
 *Parts.* Simplices are cut into parts: along the switch of a condition if one is undecided, else through the middle of

@@ -52,7 +52,7 @@ LONGEST = 100_000
 
 
 class Logic:
-    """Joins conditions by & | ~."""
+    """Conditions joined by & | ~."""
 
     def both(self, left: Any, right: Any) -> Any:
         return left & right

@@ -51,7 +51,7 @@ type Read = tuple[Tree, float | None]
 
 
 class _Reader:
-    """Reads one syntax tree; node types that are not named here are refused."""
+    """The reader of one syntax tree; node types that are not named here are refused."""
 
     def __init__(self, source: str, names: Collection[str]):
         self.source = source

@@ -37,7 +37,7 @@ class Polynomial:
     degree: int
 
     def of(self, rows: AnyIndices | Mask) -> Polynomial:
-        """Those of a selection of the simplices."""
+        """The polynomials on a selection of the simplices."""
         return Polynomial(self.coefficients[rows], self.slopes[rows], self.degree)
 
     def at(self, arms: Array) -> Array:

@@ -43,7 +43,7 @@ MOST_KEPT = 1000
 
 
 class KeptFactors:
-    """Solves with 0 at some sites, by the last factorisation if there is one that serves.
+    """The solver with 0 at some sites, by the last factorisation if there is one that serves.
 
     Attributes:
         earlier: Solutions of earlier problems, from which iterations may start.

@@ -87,7 +87,7 @@ class Body:
         return own.dim, allowed(own.cells * 2.0 ** (own.dim * levels), h or own.h, self.file or "")
 
     def meshed(self, h: float | None) -> FileMesh:
-        """Its mesh with this h, moved to its place (rank 0)."""
+        """The mesh of the body with this h, moved to its place (rank 0)."""
         changed = ""
         if self.shape is not None:
             domain = build_domain(MPI.COMM_SELF, self.shape, h or 1.0, mesh=self.mesh, diagonal=self.diagonal)

@@ -1,4 +1,4 @@
-"""Cuts a mesh along facets inside it, so that u may jump there: each becomes two facets of the boundary.
+"""A mesh cut along facets inside it, so that u may jump there: each becomes two facets of the boundary.
 
 A vertex on the cut gets a copy for each group of cells around it that the cut separates from the others. So a vertex at
 the edge of the cut, where the cells go around it, stays one vertex. All functions run on rank 0.

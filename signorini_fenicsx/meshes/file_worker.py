@@ -1,4 +1,4 @@
-"""Reads one untrusted file in a confined process (`confined`).
+"""The reader of one untrusted file, in a confined process (`confined`).
 
 Only here Gmsh, meshio, XML and HDF5 read the file. Its contents go back as arrays.
 """

@@ -1,4 +1,4 @@
-"""Reads one file with Gmsh. A malformed file can crash Gmsh, so this runs in a separate process (`file_worker`)."""
+"""The reader of one file by Gmsh. A malformed file can crash Gmsh, so it is a separate process (`file_worker`)."""
 
 import itertools
 import re

@@ -1,4 +1,4 @@
-"""Makes domains: meshes of named shapes with a given h, and meshes from files."""
+"""Domains and how they are made: meshes of named shapes with a given h, and meshes from files."""
 
 import functools
 import math

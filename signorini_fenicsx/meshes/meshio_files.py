@@ -1,4 +1,4 @@
-"""Reads mesh files with meshio, and XDMF of DOLFINx, into blocks of elements and named groups of them.
+"""Mesh files read by meshio, and XDMF of DOLFINx, as blocks of elements and named groups of them.
 
 *Abaqus files, `.inp`*: what meshio leaves of them, which are other names of elements, and surfaces.
 
@@ -47,7 +47,7 @@ def check_references(path: Path) -> None:
 
 
 class _Root(Exception):
-    """Ends the parser at the first element, after which nothing can be declared."""
+    """The end of the parser at the first element, after which nothing can be declared."""
 
 
 def _check_head(path: Path) -> None:

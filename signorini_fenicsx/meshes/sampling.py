@@ -1,4 +1,4 @@
-"""Evaluates functions of one mesh at points of another mesh; the meshes need not be nested."""
+"""Values of functions of one mesh at points of another mesh; the meshes need not be nested."""
 
 import contextlib
 import math

@@ -1,4 +1,4 @@
-"""Finds where a mesh lies on itself without being joined: facets of the boundary on one another, cells that overlap.
+"""Where a mesh lies on itself without being joined: facets of the boundary on one another, cells that overlap.
 
 Such facets should be inside the domain, and belong to only one cell. Lengths are compared only with those of the
 cells. So the result does not depend on the unit of length, and flat cells do not count as cracks. Two simplices overlap

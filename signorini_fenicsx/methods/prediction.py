@@ -123,7 +123,7 @@ class Settled:
 
 
 class _Watch:
-    """Stops a solve once its iterates ask for other sets than its own and these hardly change any more.
+    """What stops a solve once its iterates ask for other sets than its own and these hardly change any more.
 
     Attributes:
         segment: The segment of each site in this solve.

@@ -1,4 +1,4 @@
-"""Reads a saved solution on any number of ranks; a damaged one is told by its residuals.
+"""A saved solution read on any number of ranks; a damaged one is told by its residuals.
 
 *Saves a solution so that any number of ranks can read it*: a folder of NumPy arrays, written by all ranks together.
 

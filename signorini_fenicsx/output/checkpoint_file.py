@@ -1,4 +1,4 @@
-"""Reads the files of a checkpoint without trusting them: only what this program can have written reaches DOLFINx.
+"""The files of a checkpoint, read without trusting them: only what this program can have written reaches DOLFINx.
 
 Each rank reads a share of the rows of each array, however many ranks have written it.
 """

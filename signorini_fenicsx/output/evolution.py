@@ -1,4 +1,4 @@
-"""Writes the results of a run in time: tables of all steps, the fields as one series, pictures."""
+"""The results of a run in time as files: tables of all steps, the fields as one series, pictures."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

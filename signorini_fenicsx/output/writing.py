@@ -1,4 +1,4 @@
-"""Writes a solution: summary and tables as text, fields for ParaView."""
+"""The files of a solution: summary and tables as text, fields for ParaView."""
 
 import shlex
 import sys
@@ -67,7 +67,7 @@ class Found:
 
 
 class SolutionFiles:
-    """Writes the files of a solution into folders. Its methods are collective.
+    """What writes the files of a solution into folders. Its methods are collective.
 
     Each of them raises an OSError on all ranks if the disk is full, and a `WriteFailure` if a library cannot write, at
     least on this rank.

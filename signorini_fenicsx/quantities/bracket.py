@@ -181,7 +181,7 @@ class Ends:
 
 
 def power_of_two(number: float) -> float:
-    """That nearest to a positive number."""
+    """The power of two that is nearest to a positive number."""
     return float(2.0 ** round(math.log2(number)))
 
 

@@ -124,7 +124,7 @@ square of d and of |∇d|; |d|, |∇d|, |∇d·e|; the range of e."""
 
 
 class _Bisection:
-    """Decides which parts are cut, and sums over the parts of simplices that are done."""
+    """What decides which parts are cut, and sums over the parts of simplices that are done."""
 
     def __init__(self, vertices: Array, tolerance: Array, by: str):
         n = len(vertices)

@@ -42,7 +42,7 @@ class Instant:
 
 @dataclass
 class _Stepper:
-    """Solves steps, and those that fail in halves of halves.
+    """The solver of steps, and of those that fail in halves of halves.
 
     Attributes:
         solve: Solves a problem, from segments, with what it takes from the steps before.

@@ -1,4 +1,4 @@
-"""Runs a study: unfinished runs are distributed to groups of ranks; each result is kept as soon as it is complete."""
+"""A study on its ranks: groups of ranks do the unfinished runs; each result is kept as soon as it is complete."""
 
 import json
 import time

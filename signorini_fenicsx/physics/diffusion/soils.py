@@ -93,7 +93,7 @@ class Soil(ABC):
 
     @property
     def constants(self) -> dict[str, Any]:
-        """Its Constants, by the names of the numbers."""
+        """The Constants of the soil, by the names of the numbers."""
         return {each.name: value for each in fields(self) if hasattr(value := getattr(self, each.name), "value")}
 
     @property

@@ -87,7 +87,7 @@ class _Flows(of_bodies.Integrals):
     """What flows out."""
 
     def discrete(self) -> float:
-        """That of û, whose sum over the whole boundary is 0 (collective)."""
+        """The flow of û, whose sum over the whole boundary is 0 (collective)."""
         flows = self.solution.flows()
         return float(sum(flows[part] for part in self.kind.parts))
 

@@ -77,7 +77,7 @@ class StokesSolution(ElasticSolution):
 
     @collector_off()
     def errors(self) -> dict[str, float] | None:
-        """Those of bodies, where "energy" is that of dev σ; and ‖p − p_h‖ if p is known (collective)."""
+        """The errors of bodies, where "energy" is that of dev σ; and ‖p − p_h‖ if p is known (collective)."""
         found, p = super().errors(), self.problem.exact_p
         if p is None:
             return found

@@ -112,7 +112,7 @@ def _area(corners: Any) -> list[Fraction]:
 
 
 def _coefficients(tree: Tree, x: Any) -> Any:
-    """Those of a quadratic on facets in Bernstein's basis, shape (facets, coefficients); None if not rational."""
+    """Coefficients of a quadratic on facets in Bernstein's basis, shape (facets, coefficients); None if irrational."""
     dim = x.shape[1]
     i, j = np.array([(k, k) for k in range(dim)] + list(EDGES[dim - 1])).T
     values = rational(tree, (x[:, i] + x[:, j]) / 2)

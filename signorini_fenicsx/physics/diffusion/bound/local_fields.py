@@ -155,7 +155,7 @@ class Projection:
         return Projection(np.pad(self.coefficients, ((0, 0), (0, missing))), self.rest)
 
     def of(self, rows: Mask) -> Projection:
-        """Those of a selection of the cells."""
+        """The same of a selection of the cells."""
         return Projection(self.coefficients[rows], self.rest[rows])
 
     def without(self, rows: Mask) -> Projection:

@@ -1,4 +1,4 @@
-"""Reduces the gap of v, a quadratic function of Bernstein coefficients between bounds on Γ_S."""
+"""A smaller gap of v, a quadratic function of Bernstein coefficients between bounds on Γ_S."""
 
 from dataclasses import dataclass
 from functools import partial

@@ -1,4 +1,4 @@
-"""Encloses the data of a certificate: what quadrature may have missed of them enters the bound.
+"""The data of a certificate, enclosed: what quadrature may have missed of them enters the bound.
 
 Data that a case gives as text are trees, which `expressions.enclosures` encloses on whole cells and facets. The
 certificate replaces a load e by a polynomial p; d = e − p is the difference.
@@ -70,7 +70,7 @@ class Rest:
 
 @dataclass
 class Resolution:
-    """Encloses the data of one solution and records what quadrature may have missed.
+    """What encloses the data of one solution and records what quadrature may have missed.
 
     Attributes:
         spaces: The discrete spaces.

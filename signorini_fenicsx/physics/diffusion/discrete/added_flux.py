@@ -57,7 +57,7 @@ class AddedFlux:
 
     @property
     def in_ufl(self) -> Expr | None:
-        """It in UFL, if it was given so and can have controls."""
+        """The flux b in UFL, if it was given so and can have controls."""
         given = not self.by_kappa and any(each.pieces is None for each in self.components)
         return ufl.as_vector([each.ufl for each in self.components]) if given else None
 

@@ -196,7 +196,7 @@ class _Following:
 
     @classmethod
     def of(cls, space: fem.FunctionSpace, spaces: Spaces, wall: Mask, held: Mask, others: Mask) -> _Following:
-        """Those of a space, given the nodes on Γ_D, of laws that may hold u, and of facets in the domain (collective).
+        """The nodes of slaves, given those on Γ_D, of laws that may hold u, and of facets in the domain (collective).
 
         A node of several slaves follows what is opposite to the first of these, a tied one before all others. Where v
         is given on the slave alone, a law may hold it and it is not tied, or the node is one of a master, it keeps its

@@ -96,7 +96,7 @@ class VertexBackend(PlainBackend):
 
 
 class LinearBackend(VertexBackend, FluxBackend):
-    """Solves under one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
+    """The backend with one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
 
     The flux is the value of σ·n − Π₁q_S at the vertex. With laws in Ω the vertices of cells follow, with the mean
     of u by the hat less the reference, and the value of −s at the vertex; their conditions change the matrix.

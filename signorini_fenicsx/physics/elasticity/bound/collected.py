@@ -45,7 +45,7 @@ class Collected:
         return np.asarray(self.share < 1 - PART)
 
     def once(self, kinds: Array) -> "Collected":
-        """Those that are not given, and one for those that are the same on several pieces, with all their forces.
+        """The terms that are not given, and one for those that are the same on several pieces, with all their forces.
 
         Args:
             kinds: Of each, shape (terms, n).

@@ -350,7 +350,7 @@ class _RubbingLoads:
 
     @classmethod
     def of(cls, spaces: ElasticSpaces, compliance: Array, like: Array) -> "_RubbingLoads":
-        """Those that are like these ‖d‖, of which the root mean squares on facets are the weights (collective)."""
+        """The loads that are like these ‖d‖, of which the root mean squares on facets are the weights (collective)."""
         comm, weights = spaces.mesh.comm, like / np.sqrt(spaces.rough.measure)
         most = comm.allreduce(weights.max(initial=0.0), MPI.MAX)
         weights = weights / max(most, SMALLEST) + LEAST_WEIGHT

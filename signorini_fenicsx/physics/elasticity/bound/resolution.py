@@ -170,7 +170,7 @@ def is_varying(material: Material) -> bool:
 
 @dataclass
 class Resolution:
-    """Encloses the data of one solution, and records where quadrature may miss too much of them.
+    """What encloses the data of one solution, and records where quadrature may miss too much of them.
 
     Attributes:
         spaces: The spaces.

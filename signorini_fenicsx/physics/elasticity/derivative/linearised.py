@@ -65,7 +65,7 @@ class LinearisedElasticity(HybridLinearised):
 
     @cached_property
     def _weights(self) -> Array:
-        """Those of the points of the quadrature, shape (cells, d + 1, points)."""
+        """The weights of the points of the quadrature, shape (cells, d + 1, points)."""
         spaces, weights = self._spaces, self._data.quadrature.weights
         shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
         return np.asarray(shares * np.broadcast_to(weights, (spaces.dim + 1, len(weights))))

@@ -45,7 +45,7 @@ def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
 
 
 def _stiff_slave(spaces: ElasticSpaces, data: ElasticData, joint: Joint, about: Overview) -> list[str]:
-    """That the slave is stiffer than the master and not coarser, if it is so (collective).
+    """The note that a slave is stiffer than its master and not coarser, if it is so (collective).
 
     u of the master is linear on its facets, and what the true u bends more is passed on to the slave as a gap.
     """

@@ -39,7 +39,7 @@ ROUGH = 1e-2
 
 
 class ElasticBackend(TraceBackend):
-    """Solves under one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
+    """The backend with one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
 
     ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is as
     `VertexLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the

@@ -64,7 +64,7 @@ class MeansOfCells:
 
     @classmethod
     def of_traces(cls, spaces: ElasticSpaces, softness: Array, measure: Array) -> Self:
-        """Those for traces that are linear on facets.
+        """The means for traces that are linear on facets.
 
         Args:
             spaces: The spaces.
