@@ -98,21 +98,24 @@ def test_celias_infiltration():
 
 CLAY, SAND = VanGenuchten(0.048, 0.8, 1.09, 0.068, 0.38), VanGenuchten(7.128, 14.5, 2.68, 0.045, 0.43)
 ON_TOP = {
-    "rain on clay": (CLAY, Neumann("top", 0.024), Dirichlet("bottom", 0), "0", 0.625, 3),
-    "a jump": (SAND, Neumann("top", 0), Dirichlet("bottom", 0), "1", 0.2, 2),
-    "standing water": (SAND, Dirichlet("top", 1), Dirichlet("bottom", -10), "y - 10", 0.0014, 1),
+    "rain on clay": (CLAY, Neumann("top", 0.024), Dirichlet("bottom", 0), "0", 0.625, 3, 24),
+    "a jump": (SAND, Neumann("top", 0), Dirichlet("bottom", 0), "1", 0.2, 2, 6),
+    "standing water": (SAND, Dirichlet("top", 1), Dirichlet("bottom", -10), "y - 10", 0.0014, 1, 24),
 }
 
 
-@pytest.mark.parametrize(("soil", "top", "bottom", "first", "end", "steps"), ON_TOP.values(), ids=ON_TOP)
-def test_hard_steps(soil: Soil, top: Law, bottom: Law, first: str, end: float, steps: int):
-    """Steps end in one piece where the slope of κ is infinite at saturation, after a jump, and in very dry soil."""
+@pytest.mark.parametrize(("soil", "top", "bottom", "first", "end", "steps", "most"), ON_TOP.values(), ids=ON_TOP)
+def test_hard_steps(soil: Soil, top: Law, bottom: Law, first: str, end: float, steps: int, most: int):
+    """Steps end in one piece where the slope of κ is infinite at saturation, after a jump, and in very dry soil.
+
+    Soil that drains takes five of Newton's steps and a problem under a fixed κ.
+    """
     domain = column(20, 1.0, across=1)
     problem = Diffusion(kappa=soil, f=0, conditions=[Neumann(["left", "right"], 0), top, bottom])
     numbers = [step.numbers for step in evolve(domain, problem, Evolution(end=end, steps=steps, initial=first))]
     assert max(each["parts"] for each in numbers) == 1
     assert max(each["mass_error"] for each in numbers) < 1e-11
-    assert max(each["linear_solves"] for each in numbers) < 30
+    assert max(each["linear_solves"] for each in numbers) <= most
 
 
 MEASURED = [(0.025, 1.121), (0.287, 1.102), (0.491, 1.073), (0.7, 1.038), (0.995, 0.97), (1.303, 0.902), (1.599, 0.836)]

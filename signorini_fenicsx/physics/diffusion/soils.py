@@ -31,8 +31,8 @@ FARTHEST = 3.0
 """So many times 1 + α|ψ| of dry soil may fall in a step at least, as far as to `NEAR`."""
 NEAR = 1.0
 """α|ψ| from which on k_r alone says how far a step goes towards saturation."""
-DRAINED = 0.1
-"""α|ψ| to which saturated soil falls in a step at most."""
+WETTEST, DRIEST, DECADES = -14.0, 3.0, 50
+"""The decades of α|ψ| between which that of drained soil is sought, and how often they are halved."""
 
 
 @dataclass(frozen=True)
@@ -136,12 +136,30 @@ class Soil(ABC):
         span = self.theta_s - self.theta_r
         return self.theta_r + span * s + self.specific_storage * psi, span * slope + self.specific_storage
 
-    def nearer(self, psi: Array, wanted: Array) -> Array:
+    def drained(self, rate: Array) -> Array:
+        """The pressure head at which soil has given up what gravity takes from it in a step.
+
+        Water that falls by gravity alone flows at K k_r(ψ). Below so much soil as has the height d, which is at this ψ
+        as well, it is what that has lost: d (θ_s − θ)/τ. This is one equation for ψ, and θ and k_r grow with ψ.
+
+        Args:
+            rate: d/τ of each point, > 0.
+        """
+        low, high = np.full(rate.shape, WETTEST), np.full(rate.shape, DRIEST)
+        given = rate * (self.theta_s - self.theta_r) / self.K
+        for _ in range(DECADES):
+            middle = (low + high) / 2
+            k, _, s, _ = self._relative(-(10**middle) / self.alpha)
+            wet = given * (1 - s) < k
+            low, high = np.where(wet, middle, low), np.where(wet, high, middle)
+        return -(10**high) / self.alpha
+
+    def nearer(self, psi: Array, wanted: Array, lowest: Array) -> Array:
         """Pressure heads on the way from some to those that a linear problem wants.
 
         k_r and θ have a corner at saturation, and k_r is convex below it. So soil that gets wetter goes as far as k_r
         is as large as the linear problem takes it for, and not beyond saturation; from far below it may be more. Soil
-        that is saturated goes a little below that at most: only there it is known what it stores.
+        that is saturated goes to `lowest` at most, as the linear problem does not know what it stores below saturation.
         """
         k, slope, _, _ = self._relative(psi)
         aim, size = k + slope * (wanted - psi), 1 + self.alpha * np.abs(psi)
@@ -154,7 +172,7 @@ class Soil(ABC):
         by_size = (1 - np.maximum(size[rises] / FARTHEST, 1 + NEAR)) / self.alpha
         far = np.where(size[rises] > 1 + NEAR, by_size, -np.inf)
         found[rises] = np.minimum(wanted[rises], np.maximum(high, far))
-        return np.where(psi >= 0, np.maximum(found, -self.air_entry - DRAINED / self.alpha), found)
+        return np.where(psi >= 0, np.maximum(found, lowest), found)
 
     def saturation(self, x: Array, u: Array) -> Array:
         """S, from 0 to 1."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -143,16 +144,24 @@ class Quasilinear:
         return content, slope
 
     def nearer(self, traces: Array, wanted: Array) -> Array:
-        """These û on the facets of the owned cells, less the constant, or nearer ones to others, see `Soil.nearer`.
+        """These û on the facets of the owned cells, less the constant, or nearer ones to others (collective).
 
-        A pressure head that is rounding is 0: else saturation, to which steps go at most, would be ahead for ever.
+        See `Soil.nearer`. A pressure head that is rounding is 0: else saturation, to which steps go at most, would be
+        ahead for ever. The soil that loses its water is that below the highest facet that falls below saturation.
         """
-        x, found = self._places[0], wanted.copy()
+        assert self.storing is not None
+        spaces, (x, _), found = self.spaces, self._places, wanted.copy()
+        heights, halves = x[..., -1], np.ptp(corners(spaces.mesh)[..., -1], axis=1) / 2
+        height = heights if self.form == FORMS[0] else np.zeros_like(heights)
+        before, after = (each + self.constant - height for each in (traces, wanted))
+        before[np.abs(before) <= ROUNDING * (np.abs(traces) + abs(self.constant) + np.abs(height))] = 0.0
+        falls = (before >= 0) & (after < 0)
+        top = spaces.mesh.comm.allreduce(heights[falls].max(initial=-np.inf), MPI.MAX)
         for inside, soil in self.soils:
-            height = x[inside][..., -1] if self.form == FORMS[0] else np.zeros(1)
-            before, after = (each[inside] + self.constant - height for each in (traces, wanted))
-            rounding = ROUNDING * (np.abs(traces[inside]) + abs(self.constant) + np.abs(height))
-            found[inside] += soil.nearer(np.where(np.abs(before) <= rounding, 0.0, before), after) - after
+            lowest, falling = np.full(heights.shape, -np.inf), falls & inside[:, None]
+            depths = top - heights + halves[:, None]
+            lowest[falling] = soil.drained(self.storing.rate * depths[falling])
+            found[inside] += soil.nearer(before[inside], after[inside], lowest[inside]) - after[inside]
         return found
 
     @property
