@@ -1,8 +1,8 @@
 """Tables with one row for each site of Γ_S: on each rank its own rows, or on rank 0 those of all."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -83,12 +83,38 @@ class FacetTable(Facets):
 
     @property
     def shown(self) -> Indices:
-        """What pictures tell apart, an index into `Drawn.segments`."""
+        """What pictures tell apart, an index into `Surfaces.segments`."""
         return self.segment
 
     def in_contact(self, contact: Condition) -> Mask:
         """Mask of the sites in contact, which is this condition."""
         return self.condition == contact
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Facets that have a table, on each rank its own, or on rank 0 those of all.
+
+    Attributes:
+        names: Their parts.
+        facets: The facets, `part` an index into these.
+        table: Their values, a `SiteTable`.
+        columns: The columns that are written of such a table.
+        segments: Names of what `shown` of the table counts, if that is more than contact or not.
+        inside: The parts that are inside the domain.
+    """
+
+    names: Sequence[str]
+    facets: Facets
+    table: Any
+    columns: Callable[[Any], Mapping[str, npt.NDArray]]
+    segments: Sequence[str] = ()
+    inside: Collection[str] = ()
+
+    def gathered(self, comm: MPI.Comm) -> Self | None:
+        """The facets and the table of all ranks on rank 0; None elsewhere (collective)."""
+        facets, table = self.facets.gathered(comm), self.table.gathered(comm)
+        return None if facets is None else replace(self, facets=facets, table=table)
 
 
 def along_parts(spaces: MeshSpaces, part: Indices, x: Array, names: Sequence[str] | None = None) -> Array:

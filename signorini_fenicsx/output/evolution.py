@@ -97,9 +97,8 @@ def write_evolution(
         _write_sites(results.path / kind.name, rows, lambda step: solution.columns(steps.table(step, kind)), many=many)
         if opposite is not None:
             columns = opposite.columns
-            _write_sites(
-                results.path / "pairs", rows, lambda step: columns(steps.table(step, kind, OPPOSITE)), many=many
-            )
+            of = type(opposite.table)
+            _write_sites(results.path / of.name, rows, lambda step: columns(steps.table(step, of, OPPOSITE)), many=many)
         for name, table in readings.items():
             write_columns(results.path / f"{name}.csv", (steps.readings(row, name) for row in rows))
             if is_outline(table):
@@ -183,7 +182,8 @@ def _draw(
     def write() -> None:
         if scene is not None:
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
-            others = [steps.table(step, kind, OPPOSITE) for step in range(1, len(times) + 1) if scene.opposite]
+            of = [type(each.table) for each in scene.surfaces[1:]]
+            others = [steps.table(step, each, OPPOSITE) for each in of for step in range(1, len(times) + 1)]
             readings = {name: [steps.readings(row, name) for row in rows] for name in solution.readings}
             drawing.draw_steps(folder, scene, DrawnSteps(times, tables, rows, kept, readings, others))
 

@@ -112,7 +112,7 @@ def _median(places: Array, weights: Array, low: Array, high: Array, axis: int) -
 
 def _free_edges(scene: Scene) -> Indices:
     """Edges where facets in different states meet; the rim of Γ_S where all are in one state, shape (edges, 2)."""
-    points, inside = scene.fields.points, scene.free_boundary()
+    points, (_, inside) = scene.fields.points, scene.fronts
     rims = [creases(points, scene.facets.vertices[group.facets], angle=180) for group in scene.groups]
     edges, times = np.unique(np.concatenate([*rims, np.empty((0, 2), np.int64)]), axis=0, return_counts=True)
     around = np.concatenate([inside[:, [0, 1]], inside[:, [1, 2]], inside[:, [0, 2]]])

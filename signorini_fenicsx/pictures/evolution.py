@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -47,7 +46,10 @@ def draw_over_time(path: Path, scene: Scene, steps: DrawnSteps, panels: Sequence
         panels: What is drawn; of sets their measures in space too.
         curves: Values of all steps by their names, which have a panel of their own, by its title and label.
     """
-    scenes, sets = [replace(scene, sites=table) for table in steps.tables], [p for p in panels if p.where is Where.SETS]
+    scenes, sets = (
+        [scene.with_surface(table=table) for table in steps.tables],
+        [p for p in panels if p.where is Where.SETS],
+    )
     groups = _groups(scenes) if sets else {}
     if scene.dim == 3 and sets and scene.labels:
         sizes = {name: ([_measure(each, name) for each in scenes], colour) for name, colour in groups.items()}
@@ -168,8 +170,7 @@ def draw_fronts(path: Path, scene: Scene, lines: Mapping[float, Sequence[Array]]
 
 def fronts_of(scene: Scene, states: Indices) -> Array:
     """The edges between cells that are in different states then, shape (edges, 2, 2)."""
-    then = replace(scene, fields=replace(scene.fields, in_cells={"states": states}))
-    return scene.fields.points[then.free_boundary()]
+    return scene.fields.points[scene.between(states[:, None])]
 
 
 def chosen_for_fronts(steps: int) -> list[int]:
@@ -208,7 +209,7 @@ def animate(path: Path, scene: Scene, steps: DrawnSteps, fields: Mapping[int, Ar
     sheet.bar(axes, image, scene.plot.u_label)
     segments = scene.fields.points[scene.facets.vertices]
     line = axes.add_collection(LineCollection(segments, linewidths=4, clip_on=False, zorder=5))
-    groups = {step: replace(scene, sites=steps.tables[step - 1]).groups for step in fields}
+    groups = {step: scene.with_surface(table=steps.tables[step - 1]).groups for step in fields}
     plane.shape(axes, "")
     colours = {group.name: group.colour for of_step in groups.values() for group in of_step}
     sheet.legend_below([Line2D([], [], color=colour, linewidth=4, label=name) for name, colour in colours.items()])

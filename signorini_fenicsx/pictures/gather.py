@@ -10,10 +10,15 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cells_behind
 from signorini_fenicsx.base.parallel import gather_rows
-from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI, MeshSpaces
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.pictures.sample import Sample
-from signorini_fenicsx.solving.drawn import Kind
+
+PARTLY_FIXED = 4
+"""A part of the boundary that is fixed in some components only."""
+
+type Known = tuple[npt.NDArray[np.int32], Array]
+"""Some facets, and the values that are known there, NaN where none is: of a scalar u itself, of bodies tractions."""
 
 
 @dataclass(frozen=True)
@@ -21,15 +26,14 @@ class DrawnBoundary:
     """One row per boundary facet of all ranks.
 
     Attributes:
-        kind: `SIGNORINI`, `DIRICHLET` or `NEUMANN` of `discrete.mesh_spaces`; `PARTLY_FIXED` of `solving.drawn`.
-        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain; of bodies means
-            of the traction that is given, shape (facets, dim).
+        kind: `SIGNORINI`, `DIRICHLET` or `NEUMANN` of `discrete.mesh_spaces`, or `PARTLY_FIXED`.
+        known: What is known there, see `Known`, shape (facets, k).
         vertices: Rows of `Fields.points`, ascending by their numbers in the mesh, shape (facets, dim).
         middles: The middle of the cell of each facet, shape (facets, dim).
     """
 
     kind: npt.NDArray[np.int64]
-    u: Array
+    known: Array
     vertices: Indices
     middles: Array
 
@@ -45,6 +49,7 @@ class Fields:
         of: Number of cells of the mesh.
         at_points: Values at the points by their names, the means over the cells around, shape (points, k).
         in_cells: Values in the cells by their names; "indicator" is η_T, "regions" a mask with a column for each.
+        states: Numbers of cells by what lines between different ones are called.
     """
 
     ids: Indices
@@ -53,6 +58,7 @@ class Fields:
     of: int
     at_points: Mapping[str, Array]
     in_cells: Mapping[str, npt.NDArray]
+    states: Mapping[str, npt.NDArray]
 
     @property
     def count(self) -> str:
@@ -65,7 +71,17 @@ def sample_of(spaces: MeshSpaces) -> Sample:
     return Sample(spaces.mesh, np.concatenate([spaces.facets, spaces.dirichlet_facets, spaces.neumann_facets]))
 
 
-def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Kind], sample: Sample) -> DrawnBoundary | None:
+def whole_boundary(spaces: MeshSpaces, **values: Array) -> dict[int, Known]:
+    """The facets of each kind of boundary, with the values that are known on those of some, by their names."""
+    kinds = {
+        "signorini": (SIGNORINI, spaces.facets),
+        "dirichlet": (DIRICHLET, spaces.dirichlet_facets),
+        "neumann": (NEUMANN, spaces.neumann_facets),
+    }
+    return {kind: (facets, values.get(name, np.full(len(facets), np.nan))) for name, (kind, facets) in kinds.items()}
+
+
+def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Known], sample: Sample) -> DrawnBoundary | None:
     """The boundary on rank 0; None elsewhere (collective)."""
     columns = [
         np.column_stack([values, np.full(len(facets), kind), facet_vertices(mesh, facets), _middles(mesh, facets)])
@@ -75,9 +91,8 @@ def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Kind], sample: Samp
     if rows is None:
         return None
     dim = mesh.topology.dim
-    values, (kind, vertices, middles) = rows[:, : -2 * dim - 1], np.split(rows[:, -2 * dim - 1 :], [1, 1 + dim], axis=1)
-    u = values[:, 0] if values.shape[1] == 1 else values
-    return DrawnBoundary(kind[:, 0].astype(np.int64), u, sample.rows_of(vertices.astype(np.int64)), middles)
+    known, (kind, vertices, middles) = rows[:, : -2 * dim - 1], np.split(rows[:, -2 * dim - 1 :], [1, 1 + dim], axis=1)
+    return DrawnBoundary(kind[:, 0].astype(np.int64), known, sample.rows_of(vertices.astype(np.int64)), middles)
 
 
 def _middles(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
@@ -86,12 +101,17 @@ def _middles(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
     return mesh.geometry.x[nodes, : mesh.topology.dim].mean(axis=1).reshape(-1, mesh.topology.dim)
 
 
-def fields_of(sample: Sample, corners: Mapping[str, Array], cells: Mapping[str, npt.NDArray]) -> Fields | None:
+def fields_of(
+    sample: Sample, corners: Mapping[str, Array], cells: Mapping[str, npt.NDArray], states: Mapping[str, npt.NDArray]
+) -> Fields | None:
     """The values of all ranks on rank 0; None elsewhere (collective)."""
     ends = np.cumsum([values.shape[2] for values in corners.values()])
     at_points = sample.at_points(np.concatenate(list(corners.values()), axis=2))
-    in_cells = {name: rows for name, values in cells.items() if (rows := sample.in_cells(values)) is not None}
+    in_cells, of_states = (
+        {name: rows for name, values in some.items() if (rows := sample.in_cells(values)) is not None}
+        for some in (cells, states)
+    )
     if at_points is None:
         return None
     named = dict(zip(corners, np.split(at_points, ends[:-1], axis=1), strict=True))
-    return Fields(sample.ids, sample.points, sample.cells, sample.of, named, in_cells)
+    return Fields(sample.ids, sample.points, sample.cells, sample.of, named, in_cells, of_states)

@@ -148,13 +148,17 @@ class Page:
         }
         if self.scene.dim == 2:
             sides = np.append(sides, HEIGHT * sides.min())
-            axes["zaxis"] = {"title": {"text": plain(self.scene.plot.u_label)}, "visible": self.scene.is_scalar}
+            raised = self.scene.pictures.heights(self.scene) is not None
+            axes["zaxis"] = {"title": {"text": plain(self.scene.plot.u_label)}, "visible": raised}
         return axes | {"aspectmode": "manual", "aspectratio": dict(zip("xyz", ZOOM * sides, strict=True))}
 
     def raised(self, scene: Scene) -> Array:
-        """The points in space, those of the plane as high as u_h."""
+        """The points in space, those of the plane as high as the physics says."""
         points = scene.fields.points
-        return points if scene.dim == 3 else np.column_stack([points, scene.u if scene.is_scalar else 0 * points[:, 0]])
+        if scene.dim == 3:
+            return points
+        heights = scene.pictures.heights(scene)
+        return np.column_stack([points, 0 * points[:, 0] if heights is None else heights])
 
     def near(self, points: Array) -> Array:
         """Coordinates near 0, in single precision."""
@@ -200,9 +204,9 @@ class Page:
 
     def sets(self) -> list[tuple[Indices, str, str]]:
         """Γ_S by its groups, and the facets between cells in different states."""
-        scene, gamma = self.scene, plain(self.scene.gamma)
+        scene, gamma, (name, between) = self.scene, plain(self.scene.gamma), self.scene.fronts
         groups = [(scene.facets.vertices[each.facets], each.colour, f"{gamma}, {each.name}") for each in scene.groups]
-        return [*groups, *([(between, style.CONTACT, scene.edges)] if len(between := scene.free_boundary()) else [])]
+        return [*groups, *([(between, style.CONTACT, name)] if len(between) else [])]
 
     def traces(self, panel: Panel) -> list:
         """What a panel shows, but for maps on a logarithmic scale or of names, of a part of the domain, or on cells."""
@@ -222,7 +226,7 @@ class Page:
             return [self.surface(points, facets, panel, values if values.ndim == 1 else np.linalg.norm(values, axis=1))]
         space = self.space.of(panel.scene) if panel.scene else self.space
         if panel.where is Where.STREAMS:
-            return self._streamlines(panel, space.streamlines[0])
+            return self._streamlines(panel, space.streamlines(panel)[0])
         grid = space.with_values(panel)
         cut = grid if panel.where is Where.OUTSIDE else grid.slice_orthogonal().combine()
         shown = cut.extract_surface(algorithm=None).triangulate()
@@ -234,7 +238,7 @@ class Page:
         if not lines.n_lines:
             return []
         pieces = np.split(lines.line_connectivity, lines.line_offsets[1:-1])
-        colours = np.concatenate([[0.0], *(each for ids in pieces for each in (lines["sigma_norm"][ids], [0.0]))])
+        colours = np.concatenate([[0.0], *(each for ids in pieces for each in (lines["length"][ids], [0.0]))])
         low, high, _ = panel.ends or (float(colours.min()), float(colours.max()), "")
         line = {"color": colours.astype(np.float32), "width": 5, "colorscale": panel.colours, "cmin": low, "cmax": high}
         bar = {"showscale": True, "colorbar": BAR | {"title": {"text": plain(panel.label)}}}

@@ -8,12 +8,15 @@ from enum import Enum, auto
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy.typing as npt
 from matplotlib.colors import Colormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.cases.plot import with_unit
+from signorini_fenicsx.discrete.site_table import Surfaces
+from signorini_fenicsx.pictures.gather import Known
 from signorini_fenicsx.pictures.style import ERROR_MAP, U_MAP
 
 if TYPE_CHECKING:
@@ -58,7 +61,7 @@ class Panel:
         log: Whether colours are on a logarithmic scale.
         levels: Values on which maps have lines.
         lines: In the plane streamlines, and the corners of their arrow heads.
-        sign: In space the direction of arrow heads, −1 where it is against the flux.
+        flow: In space the field of streamlines, at the points, or if it jumps at the corners of cells.
         only: The triangles that a map shows, if not all.
         curves: On Γ_S in the plane the columns of the table, each with its label and look.
         of_jump: The title on parts inside the domain, if it is another one.
@@ -77,7 +80,7 @@ class Panel:
     log: bool = False
     levels: Sequence[float] = ()
     lines: tuple[Sequence[Array], Sequence[Array] | Array] = (), ()
-    sign: int = 1
+    flow: Array | None = None
     only: Mask | None = None
     curves: Mapping[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
     of_jump: str = ""
@@ -136,15 +139,40 @@ class Overlay:
         return Line2D([], [], label=self.label, **self.look | {"linewidth": max(self.look["linewidth"], 1.0)})
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """A solution for pictures, on each rank its own share.
+
+    Attributes:
+        corners: Values at the corners of each cell by their names, in the order of the geometry, shape
+            (cells, dim + 1, k).
+        cells: Values of each cell by their names.
+        boundary: The facets of each kind of boundary, with what is known there.
+        surfaces: Γ_S, and what is opposite to it and has a table.
+        states: Numbers of cells by what lines between different ones are called.
+        over: What is drawn over maps besides, on rank 0.
+        words: What captions add.
+    """
+
+    corners: Mapping[str, Array]
+    cells: Mapping[str, npt.NDArray]
+    boundary: Mapping[int, Known]
+    surfaces: Sequence[Surfaces]
+    states: Mapping[str, npt.NDArray] = field(default_factory=dict)
+    over: Sequence[Overlay] = ()
+    words: Sequence[str] = ()
+
+
 type File = tuple[str, Sequence[Panel]]
 """Title and panels of a picture."""
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """What is drawn of the solutions of a physics (rank 0).
+    """What is drawn of the solutions of a physics (rank 0, but for `drawn`).
 
     Attributes:
+        drawn: What pictures need of a solution (collective).
         files: Panels of each file by its name; the first is what a notebook shows.
         over: What is drawn over maps, from what usually is: the boundary and the regions.
         kept: For a scene at the end of a run in time and the number of its steps the names of what steps keep in cells
@@ -152,13 +180,16 @@ class Pictures:
         in_time: Draws a run in time into a folder, from its scene at the end, tables, times and rows of all steps, and
             what steps kept by names and steps.
         words: What legends say in the place of letters, such as Γ_C, and of words for bodies.
+        heights: Heights at points of the plane that a page gives to it, None where it is flat.
     """
 
+    drawn: Callable[[Any], Drawn]
     files: Callable[[Scene], Mapping[str, File]]
     over: Callable[[Scene, list[Overlay]], list[Overlay]] = lambda scene, usual: usual
     kept: Callable[[Any, int], Mapping[str, Sequence[int]]] = lambda solution, steps: {}
     in_time: Callable[[Path, Scene, DrawnSteps], None] = lambda folder, scene, steps: None
     words: Mapping[str, str] = field(default_factory=dict)
+    heights: Callable[[Scene], Array | None] = lambda scene: None
 
 
 @dataclass(frozen=True)

@@ -117,60 +117,44 @@ def arrows_on(x: Array, measure: float, vectors: Array, least: float) -> pyvista
     return points.glyph(orient="ways", scale=False, factor=length)
 
 
-def arrow_heads(seeds: pyvista.PolyData, sign: int, length: float) -> pyvista.PolyData:
-    """Cones at the points through which streamlines go, along their vectors times the sign, where these are not 0."""
-    ways = seeds.extract_points(seeds["sigma_norm"] > STILL * seeds["sigma_norm"].max(), include_cells=False)
-    ways["ways"] = sign * ways["sigma"]
+def arrow_heads(seeds: pyvista.PolyData, length: float) -> pyvista.PolyData:
+    """Cones at the points through which streamlines go, along their vectors, where these are not 0."""
+    ways = seeds.extract_points(seeds["length"] > STILL * seeds["length"].max(), include_cells=False)
     cone = pyvista.Cone(height=length, radius=0.35 * length, resolution=16)
-    return ways.glyph(orient="ways", scale=False, geom=cone) if ways.n_points else pyvista.PolyData()
+    return ways.glyph(orient="flow", scale=False, geom=cone) if ways.n_points else pyvista.PolyData()
 
 
-def streamlines(
-    scene: Scene, grid: pyvista.UnstructuredGrid, longest: float
-) -> tuple[pyvista.PolyData, pyvista.PolyData]:
-    """Streamlines of σ_h through points spread over the domain, and these points with their σ_h.
+def streamlines(scene: Scene, flow: Array, longest: float) -> tuple[pyvista.PolyData, pyvista.PolyData]:
+    """Streamlines through points spread over the domain, and these points with the field there.
 
-    VTK finds them in single precision, near 0.
+    VTK finds them in single precision, near 0. Of a field that jumps between cells, each cell has its own corners, and
+    lines end a step before the boundary.
 
     Args:
         scene: A solution in space.
-        grid: Its mesh with the flux at its vertices.
+        flow: The field at the points of the scene, or if it jumps at the corners of cells, shape (cells, 4, 3).
         longest: Their greatest length.
     """
     measure = np.cumsum(scene.measure)
     share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
-    cells = np.searchsorted(measure, share * measure[-1])
-    points, jumping = scene.fields.points, scene.fields.in_cells.get("flow")
-    near_0, step = _grid_of_lines(grid, points - points[0], scene.fields.cells, jumping)
-    seeds = pyvista.PolyData((points - points[0])[scene.fields.cells[cells]].mean(axis=1))
+    first, points, cells = scene.fields.points[0], scene.fields.points, scene.fields.cells
+    chosen = cells[np.searchsorted(measure, share * measure[-1])]
+    corners, step = (points, 0.5) if flow.ndim == 2 else (points[cells].reshape(-1, 3), 0.1)
+    numbers = cells if flow.ndim == 2 else np.arange(len(corners)).reshape(-1, 4)
+    near_0 = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: numbers}, corners - first)
+    near_0.point_data["flow"] = flow.reshape(-1, 3)
+    near_0.point_data["length"] = np.linalg.norm(near_0.point_data["flow"], axis=1)
+    seeds = pyvista.PolyData((points - first)[chosen].mean(axis=1))
     lines = near_0.streamlines_from_source(
         seeds,
-        vectors="sigma",
+        vectors="flow",
         max_length=longest,
         initial_step_length=step,
         max_step_length=step,
         max_steps=round(200 / step),
-        interpolator_type="point" if jumping is None else "cell",
+        interpolator_type="point" if flow.ndim == 2 else "cell",
     )
     seeds = seeds.sample(near_0)
     for each in (lines, seeds):
-        each.points = np.asarray(each.points, dtype=np.float64) + points[0]
+        each.points = np.asarray(each.points, dtype=np.float64) + first
     return lines, seeds
-
-
-def _grid_of_lines(
-    grid: pyvista.UnstructuredGrid, points: Array, cells: Indices, jumping: Array | None
-) -> tuple[pyvista.UnstructuredGrid, float]:
-    """The mesh in other places with the field of streamlines, and their step in parts of a cell.
-
-    Each cell has its own corners if the field jumps between cells; lines end a step before the boundary.
-    """
-    if jumping is None:
-        near_0 = grid.copy()
-        near_0.points = points
-        return near_0, 0.5
-    corners = points[cells].reshape(-1, 3)
-    near_0 = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: np.arange(len(corners)).reshape(-1, 4)}, corners)
-    near_0.point_data["sigma"] = jumping.reshape(-1, 3)
-    near_0.point_data["sigma_norm"] = np.linalg.norm(near_0.point_data["sigma"], axis=1)
-    return near_0, 0.1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,13 +23,12 @@ from signorini_fenicsx.cases.plot import Plot, plot_of
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
-from signorini_fenicsx.discrete.site_table import Facets
+from signorini_fenicsx.discrete.site_table import Facets, Surfaces
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.gather import DrawnBoundary, Fields, boundary_of, fields_of, sample_of
+from signorini_fenicsx.pictures.gather import PARTLY_FIXED, DrawnBoundary, Fields, boundary_of, fields_of, sample_of
 from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures
 from signorini_fenicsx.pictures.sample import Sample
-from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 
@@ -57,33 +56,41 @@ class Scene:
         solution: The solution, of which this rank has a share.
         caption: Algorithm, mesh and certified error, in mathematical type.
         fields: Mesh and values in the cells.
-        facets: Γ_S.
-        sites: The table of the solution.
         boundary: The whole boundary.
-        segments: Names of the segments of all laws, if there are others than the Signorini law.
-        edges: What the facets between cells in different states are called.
-        inside: The parts of Γ_S inside the domain.
-        lines: Lines of maps by their names, in space triangles.
+        surfaces: What has tables: Γ_S, or what stands in its place, and others.
+        besides: What is drawn over maps besides what can be seen from these.
         given: What is drawn over maps, if not the boundary and what the physics has.
         frame: Smallest and largest coordinates of maps, shape (2, 2), if not those of the domain.
-        parts: The parts of `facets` and `sites`, if these are not those of Γ_S.
-        opposite: The scene with what is opposite to Γ_S in its place, if that has values too.
     """
 
     solution: Solved
     caption: str
     fields: Fields
-    facets: Facets
-    sites: Any
     boundary: DrawnBoundary
-    segments: Sequence[str] = ()
-    edges: str = ""
-    inside: Collection[str] = ()
-    lines: Mapping[str, Sequence[Array]] = field(default_factory=dict)
+    surfaces: Sequence[Surfaces]
+    besides: Sequence[Overlay] = ()
     given: Sequence[Overlay] | None = None
     frame: Array | None = None
-    parts: Sequence[str] | None = None
-    opposite: Scene | None = None
+
+    @property
+    def surface(self) -> Surfaces:
+        """Γ_S, or what stands in its place."""
+        return self.surfaces[0]
+
+    @property
+    def facets(self) -> Facets:
+        """Its facets."""
+        return self.surface.facets
+
+    @property
+    def sites(self) -> Any:
+        """Its table."""
+        return self.surface.table
+
+    @cached_property
+    def opposite(self) -> Scene | None:
+        """The scene with what is opposite to Γ_S in its place, if that has a table too."""
+        return replace(self, surfaces=self.surfaces[1:]) if len(self.surfaces) > 1 else None
 
     @property
     def pictures(self) -> Pictures:
@@ -108,9 +115,7 @@ class Scene:
     @property
     def labels(self) -> dict[str, str]:
         """For each part of Γ_S, or of what stands in its place, the name of the coordinate along it."""
-        spaces = self.solution.spaces
-        names = spaces.part_names if self.parts is None else self.parts
-        return {name: spaces.domain.parts[name].label for name in names}
+        return {name: self.solution.spaces.domain.parts[name].label for name in self.surface.names}
 
     @property
     def history(self) -> list[Step]:
@@ -125,8 +130,8 @@ class Scene:
     @property
     def gamma(self) -> str:
         """What Γ_S is called, in mathematical type; the parts that stand in its place."""
-        letter = rf"$\Gamma_{self.solution.gamma[-1]}$"
-        return ", ".join(self.parts) if self.parts is not None else self.word(letter)
+        letter, names = rf"$\Gamma_{self.solution.gamma[-1]}$", list(self.surface.names)
+        return self.word(letter) if names == list(self.solution.spaces.part_names) else ", ".join(names)
 
     def word(self, text: str) -> str:
         """What legends of this physics say in the place of a text."""
@@ -162,8 +167,9 @@ class Scene:
         alone = []
         for index, name in enumerate(self.labels):
             tables = (replace(each, **_rows(each, each.part == index)) for each in (self.facets, self.sites))
-            facets, sites = (replace(each, part=0 * each.part) for each in tables)
-            alone.append(replace(self, facets=facets, sites=sites, parts=[name], opposite=None))
+            facets, table = (replace(each, part=0 * each.part) for each in tables)
+            surface = replace(self.surface, names=[name], facets=facets, table=table)
+            alone.append(replace(self, surfaces=[surface]))
         return alone
 
     @cached_property
@@ -179,15 +185,15 @@ class Scene:
         The colour of a segment does not depend on which others have facets, so it stays in time.
         """
         groups = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
-        if self.segments:
-            names = np.array(self.segments)[self.sites.shown[self.rows].min(axis=1, initial=len(self.segments) - 1)]
-            colours = style.colours_of(self.segments)
-            groups = [Group(each, colours[each], names == each) for each in dict.fromkeys(self.segments)]
+        if segments := self.surface.segments:
+            names = np.array(segments)[self.sites.shown[self.rows].min(axis=1, initial=len(segments) - 1)]
+            colours = style.colours_of(segments)
+            groups = [Group(each, colours[each], names == each) for each in dict.fromkeys(segments)]
         return [group for group in groups if group.facets.any()]
 
     def colours_in_cells(self, names: Collection[str]) -> dict[str, str]:
         """The colours of segments of laws in Ω: that of a segment of this name on Γ_S, for others none of these."""
-        on_gamma = style.colours_of(self.segments)
+        on_gamma = style.colours_of(self.surface.segments)
         return on_gamma | style.colours_of([name for name in names if name not in on_gamma], [*on_gamma.values()])
 
     @cached_property
@@ -197,39 +203,18 @@ class Scene:
         edges = corners[:, 1:] - corners[:, :1]
         return np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
 
-    @property
-    def is_scalar(self) -> bool:
-        """Whether u_h is a number."""
-        return self.fields.at_points["u"].shape[1] == 1
-
-    @cached_property
-    def u(self) -> Array:
-        """A scalar u_h at the vertices: p_h on Γ_S, u_D on Γ_D, elsewhere the mean over the cells around."""
-        inner = self.fields.at_points["u"][:, 0]
-        finite = np.isfinite(self.boundary.u)
-        vertices = self.boundary.vertices[finite].ravel()
-        count = np.bincount(vertices, minlength=len(inner))
-        total = np.bincount(vertices, np.repeat(self.boundary.u[finite], self.dim), minlength=len(inner))
-        return np.where(count > 0, total / np.maximum(count, 1), inner)
-
     def usual(self, values: Array) -> tuple[float, float, str]:
         """Colour limits for values in the cells, see `style.limits`."""
         return style.limits(values, self.measure)
 
-    def interfaces(self) -> Indices:
-        """Edges between cells of different regions, in the plane: shape (edges, 2)."""
-        regions = self.fields.in_cells.get("regions")
-        return self._facets_between(regions if regions is not None and regions.shape[1] > 1 else None)
+    @cached_property
+    def fronts(self) -> tuple[str, Indices]:
+        """Facets between cells in different states of laws in Ω, shape (facets, dim), and what they are called."""
+        found = ((name, self.between(of_cells[:, None])) for name, of_cells in self.fields.states.items())
+        return next(found, ("", np.empty((0, self.dim), dtype=np.int64)))
 
-    def free_boundary(self) -> Indices:
-        """Facets between cells in different states of laws in Ω, shape (facets, dim)."""
-        states = self.fields.in_cells.get("states")
-        return self._facets_between(None if states is None else states[:, None])
-
-    def _facets_between(self, groups: npt.NDArray | None) -> Indices:
+    def between(self, groups: npt.NDArray) -> Indices:
         """Facets between cells in different groups; these are a mask, a column for each, or numbers in a column."""
-        if groups is None:
-            return np.empty((0, self.dim), dtype=np.int64)
         cells, corners = self.fields.cells, list(itertools.combinations(range(self.dim + 1), self.dim))
         facets = np.sort(np.concatenate([cells[:, some] for some in corners]), axis=1)
         _, region = np.unique(groups, axis=0, return_inverse=True)
@@ -243,8 +228,10 @@ class Scene:
         """What is drawn over maps: what the physics has; in the plane regions, the boundary, Γ_S by its groups too."""
         if self.given is not None:
             return self.given
-        if self.dim == 3:
-            return self.pictures.over(self, [])
+        return [*self.pictures.over(self, self._usual() if self.dim == 2 else []), *self.besides]
+
+    def _usual(self) -> list[Overlay]:
+        """Γ_S by its groups, the other kinds of boundary and the borders of regions, in the plane."""
         points, boundary = self.fields.points, self.boundary
         black = {"color": "black", "linewidth": 1.2, "clip_on": False}
         edge = [patheffects.Stroke(linewidth=4.5, foreground="black"), patheffects.Normal()]
@@ -269,9 +256,13 @@ class Scene:
                 (PARTLY_FIXED, "partly fixed", "-."),
             )
         ]
-        dashed = {"color": "black", "linewidth": 0.8, "linestyle": "--"}
-        regions = Overlay("regions", [points[each] for _, each in chains(self.interfaces())], dashed)
-        return self.pictures.over(self, [*groups, *kinds, regions])
+        dashed, regions = {"color": "black", "linewidth": 0.8, "linestyle": "--"}, self.fields.in_cells.get("regions")
+        borders = [] if regions is None else [points[each] for _, each in chains(self.between(regions))]
+        return [*groups, *kinds, Overlay("regions", borders, dashed)]
+
+    def with_surface(self, **changed: Any) -> Scene:
+        """The scene with what is changed of Γ_S, such as its table."""
+        return replace(self, surfaces=[replace(self.surface, **changed), *self.surfaces[1:]])
 
     def at(self, points: Array, over: Sequence[Overlay] = ()) -> Scene:
         """The scene with its points in other places, and with other things over its maps."""
@@ -310,35 +301,25 @@ def gathered_scene(
         indicator: η_T of another bound.
         sample: The sample of its mesh, if that is known.
     """
-    drawn, spaces = solution.drawn(), solution.spaces
-    sample = sample or sample_of(spaces)
+    drawn, spaces = PHYSICS[solution.physics].pictures.drawn(solution), solution.spaces
+    sample, comm = sample or sample_of(spaces), spaces.mesh.comm
     indicator = certificate.indicator if certificate is not None else indicator
     cells = {**drawn.cells, **({} if indicator is None else {"indicator": owned_values(indicator)})}
-    if spaces.domain.regions:
+    if len(spaces.domain.regions) > 1:
         cells["regions"] = membership(spaces.domain)
-    fields, boundary = fields_of(sample, drawn.corners, cells), boundary_of(spaces.mesh, drawn.boundary, sample)
-    facets, sites = drawn.facets.gathered(spaces.mesh.comm), solution.table().gathered(spaces.mesh.comm)
-    surfaces, comm = drawn.opposite, spaces.mesh.comm
-    others = None if surfaces is None else (surfaces.facets.gathered(comm), surfaces.table.gathered(comm))
-    if fields is None or facets is None or boundary is None:
+    fields = fields_of(sample, drawn.corners, cells, drawn.states)
+    boundary = boundary_of(spaces.mesh, drawn.boundary, sample)
+    surfaces = [surface for each in drawn.surfaces if (surface := each.gathered(comm)) is not None]
+    if fields is None or boundary is None:
         return None
-    scene = Scene(
+    places = (replace(each.facets, vertices=sample.rows_of(each.facets.vertices)) for each in surfaces)
+    return Scene(
         solution=solution,
         caption=caption(solution, [fields.count, *drawn.words], certificate),
         fields=fields,
-        facets=replace(facets, vertices=sample.rows_of(facets.vertices)),
-        sites=sites,
         boundary=boundary,
-        segments=drawn.segments,
-        edges=drawn.edges,
-        inside=drawn.inside,
-        lines=drawn.lines,
-    )
-    if surfaces is None or others is None or others[0] is None:
-        return scene
-    there = replace(others[0], vertices=sample.rows_of(others[0].vertices))
-    return replace(
-        scene, opposite=replace(scene, facets=there, sites=others[1], parts=surfaces.names, segments=(), inside=())
+        surfaces=[replace(each, facets=facets) for each, facets in zip(surfaces, places, strict=True)],
+        besides=drawn.over,
     )
 
 

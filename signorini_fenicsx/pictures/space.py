@@ -74,13 +74,10 @@ class Space:
 
     @cached_property
     def grid(self) -> pyvista.UnstructuredGrid:
-        """The mesh with the flux at its vertices."""
-        scene = self.scene
-        grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: scene.fields.cells}, scene.fields.points)
-        grid.cell_data["cell"] = np.arange(len(scene.fields.cells))
-        if "sigma" in scene.fields.at_points:
-            grid.point_data["sigma"] = scene.fields.at_points["sigma"]
-            grid.point_data["sigma_norm"] = np.linalg.norm(grid.point_data["sigma"], axis=1)
+        """The mesh."""
+        fields = self.scene.fields
+        grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: fields.cells}, fields.points)
+        grid.cell_data["cell"] = np.arange(len(fields.cells))
         return grid
 
     @cached_property
@@ -156,10 +153,10 @@ class Space:
         """What the physics draws over maps: surfaces, which are lines on cuts."""
         return [each for each in self.scene.over if not each.filled and len(each.points)]
 
-    @cached_property
-    def streamlines(self) -> tuple[pyvista.PolyData, pyvista.PolyData]:
-        """Streamlines of σ_h, or of the velocity, and the points where they begin."""
-        return streamlines(self.scene, self.grid, 2 * self.extent)
+    def streamlines(self, panel: Panel) -> tuple[pyvista.PolyData, pyvista.PolyData]:
+        """Streamlines of a panel, and the points where they begin."""
+        assert panel.flow is not None
+        return streamlines(self.scene, panel.flow, 2 * self.extent)
 
     def sheet(self, panels: Iterable[Panel], title: str = "") -> Sheet:
         """Views in rows; those of Γ_S alone of each part, from all sides that show it."""
@@ -254,11 +251,11 @@ class Space:
             self._add_contact(plotter, opacity=0.3)
             for each in self.surfaces:
                 plotter.add_mesh(surface_of(each.points), lighting=False, **each.look)
-            lines, seeds = self.streamlines
+            lines, seeds = self.streamlines(panel)
             tubes = lines.tube(radius=0.005 * self.extent, n_sides=8) if lines.n_points else lines
-            for mesh in (tubes, arrow_heads(seeds, panel.sign, 0.04 * self.extent)):
+            for mesh in (tubes, arrow_heads(seeds, 0.04 * self.extent)):
                 if mesh.n_points:  # without flux each line is a point, which has no tube
-                    plotter.add_mesh(mesh, scalars="sigma_norm", **look | {"lighting": True, "ambient": 0.4})
+                    plotter.add_mesh(mesh, scalars="length", **look | {"lighting": True, "ambient": 0.4})
         elif panel.where is Where.OUTSIDE:
             surface = self.with_values(panel).extract_surface(algorithm=None)
             plotter.add_mesh(surface, scalars="values", **look)
@@ -311,7 +308,8 @@ class Space:
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S and of the states of laws in Ω."""
-        edge = [Patch(color=style.CONTACT, label=self.scene.edges)] if len(self.scene.free_boundary()) > 0 else []
+        name, between = self.scene.fronts
+        edge = [Patch(color=style.CONTACT, label=name)] if len(between) else []
         groups = self.scene.groups
         names = [Patch(color=each.look["color"], label=each.label) for each in self.surfaces]
         of_gamma = [Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups]
@@ -329,7 +327,7 @@ class Space:
             edge = surface_of(each.points).slice(cut.normal, origin=cut.origin)
             if edge.n_cells:
                 self._add_lines(plotter, edge, cut.view, each.look["color"], 4)
-        sets = [*groups, (style.CONTACT, self.scene.free_boundary())]
+        sets = [*groups, (style.CONTACT, self.scene.fronts[1])]
         for colour, vertices in (each for each in sets if len(each[1])):
             edge = self._triangles(vertices).slice(cut.normal, origin=cut.origin)
             if edge.n_cells:
@@ -364,7 +362,7 @@ class Space:
             triangles = self._triangles(self.scene.facets.vertices[group.facets])
             edges = self._edges() if opacity == 1.0 else {}
             plotter.add_mesh(triangles, color=group.colour, opacity=opacity, lighting=False, **edges)
-        between = self.scene.free_boundary()
+        _, between = self.scene.fronts
         if len(between) > 0:
             plotter.add_mesh(self._triangles(between), color=style.CONTACT, opacity=opacity, lighting=False)
 

@@ -73,7 +73,7 @@ def draw_trace(scene: Scene, axes: Axes, name: str, panel: Panel, named: Callabl
     """
     part, table, rows = list(scene.labels).index(name), scene.sites, scene.rows
     lines, label = pieces(scene, part)
-    title = f"{panel.of_jump if panel.of_jump and name in scene.inside else panel.title} on {name}"
+    title = f"{panel.of_jump if panel.of_jump and name in scene.surface.inside else panel.title} on {name}"
     for line in lines:
         for group in shaded(scene):
             inside = group.facets[line.rows]
@@ -114,7 +114,7 @@ def without_rounding(values: Array) -> Array:
 
 def shaded(scene: Scene) -> list[Group]:
     """What is shaded in the panels: contact, or the segments of all laws."""
-    return scene.groups if scene.segments else [Group("contact", style.CONTACT, scene.touching)]
+    return scene.groups if scene.surface.segments else [Group("contact", style.CONTACT, scene.touching)]
 
 
 def handles(scene: Scene, panels: Sequence[Panel], *, shades: bool = True) -> list:

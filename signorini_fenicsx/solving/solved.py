@@ -19,11 +19,10 @@ from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.curved import of_polygon
 from signorini_fenicsx.discrete.sections import Profile, Spots, Through
-from signorini_fenicsx.discrete.site_table import SiteTable
+from signorini_fenicsx.discrete.site_table import SiteTable, Surfaces
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.registry import Method
-from signorini_fenicsx.solving.drawn import Drawn, Surfaces
 from signorini_fenicsx.solving.fields import Fields
 from signorini_fenicsx.solving.options import Options
 
@@ -350,10 +349,6 @@ class Solved(ABC):
     def opposite(self) -> Surfaces | None:
         """What is opposite to Γ_S in pairs and has a table, `pairs.csv`, also of steps in time (collective)."""
         return None
-
-    @abstractmethod
-    def drawn(self) -> Drawn:
-        """What pictures show on this rank (collective)."""
 
     @abstractmethod
     def fields(self) -> Fields:

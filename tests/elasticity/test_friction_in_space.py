@@ -373,7 +373,7 @@ def test_picture_of_shear_and_slip():
     sheet = views_of.sheet(PICTURES.files(body)["pressure"][1])
     views = {axes.get_title()[4:]: axes.images[0].get_array() for axes in sheet.axes if axes.get_title()}
     assert [title.split()[0] for title in views] == ["pressure", "pressure", "gap", "contact", "shear", "slip"]
-    lengths = replace(body, sites=replace(body.sites, gap=np.linalg.norm(body.sites.shear_vector, axis=1)))
+    lengths = body.with_surface(table=replace(body.sites, gap=np.linalg.norm(body.sites.shear_vector, axis=1)))
     Space(lengths).draw(Panel("gap", Where.GAMMA), sheet, (0, 0), "lengths", views_of.views[0])
     axes = next(each for each in sheet.axes if each.get_title().startswith("lengths"))
     white = [
@@ -390,7 +390,7 @@ def test_small_part_is_enlarged(monkeypatch: pytest.MonkeyPatch):
     assert body is not None
     first = {name: rows[body.rows[0]] for name, rows in vars(body.sites).items()}
     facets = replace(body.facets, **{name: rows[:1] for name, rows in vars(body.facets).items()})
-    few = replace(body, facets=facets, sites=replace(body.sites, **first))
+    few = body.with_surface(facets=facets, table=replace(body.sites, **first))
     shares = []
     for near in (0.25, 2.0):
         monkeypatch.setattr(space, "NEAR", near)

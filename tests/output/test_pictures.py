@@ -158,11 +158,11 @@ def test_segments_keep_their_colours():
     """Also in a step in which others have no facets."""
     whole = scene("friction", h=1 / 4)
     others = whole.segments.index("slip+") != whole.sites.segment
-    some = replace(whole, sites=replace(whole.sites, segment=np.where(others, whole.sites.segment, 1)))
+    some = whole.with_surface(table=replace(whole.sites, segment=np.where(others, whole.sites.segment, 1)))
     colours, later = ({group.name: group.colour for group in each.groups} for each in (whole, some))
     assert len(set(colours.values())) == 3
     assert later == {name: colours[name] for name in ("slip-", "stick")}
-    two_laws = replace(whole, segments=("contact", "open", "lower"))
+    two_laws = whole.with_surface(segments=("contact", "open", "lower"))
     assert len({group.colour for group in two_laws.groups}) == 3
 
 
@@ -190,7 +190,7 @@ def test_field_of_the_plane():
     (line,), label = traces.pieces(ring, 0)
     assert label == "angle"
     assert line.ends[[0, -1]] == pytest.approx([-np.pi, np.pi], abs=0.2)
-    folded = replace(ring, facets=_by_x(ring.facets), sites=_by_x(ring.sites))
+    folded = ring.with_surface(facets=_by_x(ring.facets), table=_by_x(ring.sites))
     (line,), label = traces.pieces(folded, 0)
     assert label == "arc length"
     assert line.ends[-1] == pytest.approx(ring.facets.measure.sum())
@@ -251,7 +251,7 @@ def test_boundary_is_the_same_on_all_ranks():
         return
 
     def rows(boundary: DrawnBoundary) -> np.ndarray:
-        table = np.column_stack([boundary.vertices, boundary.kind, boundary.u])
+        table = np.column_stack([boundary.vertices, boundary.kind, boundary.known])
         return table[np.lexsort(table[:, 1::-1].T)]
 
     np.testing.assert_allclose(rows(both.boundary), rows(one.boundary), atol=1e-10)

@@ -1,7 +1,6 @@
 """`[plot]`: names, units, the physical flux, level lines; words of quantities and segments; Baiocchi's water."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -219,7 +218,7 @@ def test_the_water_of_a_dam():
     assert len(lines) >= WATER_LINES
     assert all(line[0, 0] < line[-1, 0] for line in lines)
     assert np.all(heads[:, 0, 0] > heads[:, 1:, 0].mean(axis=1))
-    panel = streams(replace(found, lines={"phreatic line": known.phreatic_line}))
+    panel = streams(found)
     assert "head" in panel.label
     assert len(panel.lines[0]) == len(lines)
     water = Pools.of(found)

@@ -21,7 +21,6 @@ from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import Domain, facet_vertices
 from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.evolution import Evolution, Past
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
 
@@ -127,11 +126,6 @@ class Rested(Solution):
 
     def columns(self, table):
         return {"x": table.x[:, 0], "u": table.p}
-
-    def drawn(self):
-        u, dim = self.u.x.array, self.spaces.mesh.geometry.dim
-        corners = np.broadcast_to(u[:, None, None], (len(u), dim + 1, 1))
-        return Drawn({"u": corners}, self.table(), whole_boundary(self.spaces))
 
 
 class System:

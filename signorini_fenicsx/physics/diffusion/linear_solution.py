@@ -33,7 +33,6 @@ class LinearSolution(Solution):
     spaces: LinearSpaces
     data: LinearData
     order = 2
-    drawn = linear_shown.drawn
     table, other_tables, traces = linear_shown.table, linear_shown.other_tables, linear_shown.traces
 
     @property

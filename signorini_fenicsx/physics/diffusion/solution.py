@@ -95,7 +95,7 @@ class Solution(AnySolution):
     p: fem.Function
     order = 1
     offers = (*AnySolution.offers, "cell_flux", "flux_through", "force", "free_boundary", "p")
-    fields, drawn, lines = shown.fields, shown.drawn, shown.lines
+    fields, lines = shown.fields, shown.lines
     table, columns, other_tables, traces = shown.table, shown.columns, shown.other_tables, shown.traces
     differences = differences
 

@@ -72,7 +72,7 @@ class ElasticSolution(Solution):
     order = 2
     _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
     offers = (*Solution.offers, *_own)
-    fields, drawn, lines = shown.fields, shown.drawn, shown.lines
+    fields, lines = shown.fields, shown.lines
     table, columns, other_tables = tables.table, tables.columns, tables.other_tables
     opposite = cached_property(tables.opposite_surfaces)
     differences = differences

@@ -23,7 +23,7 @@ class StokesSolution(ElasticSolution):
     """A discrete solution of viscous flow and how it was found, see `ElasticSolution`; `pressure` is σ_nn on laws."""
 
     problem: StokesProblem
-    fields, drawn, lines, columns = shown.fields, shown.drawn, shown.lines, shown.columns
+    fields, lines, columns = shown.fields, shown.lines, shown.columns
 
     @property
     def gap(self) -> Array:

@@ -13,14 +13,10 @@ from signorini_fenicsx.base.owned import cells_behind
 from signorini_fenicsx.physics.diffusion.show.shown import (
     CONDITIONS,
     GammaTable,
-    corners_of,
-    edges_of,
-    in_cells,
-    lines_of,
     of_facets,
 )
 from signorini_fenicsx.physics.diffusion.show.shown import other_tables as shown_tables
-from signorini_fenicsx.solving.drawn import Drawn, Kind, whole_boundary
+from signorini_fenicsx.pictures.gather import Known, whole_boundary
 from signorini_fenicsx.solving.solved import Columns
 
 if TYPE_CHECKING:  # it shows this
@@ -100,26 +96,9 @@ def other_tables(solution: LinearSolution) -> dict[str, Columns]:
     }
 
 
-def traces(solution: LinearSolution) -> dict[int, Kind]:
+def traces(solution: LinearSolution) -> dict[int, Known]:
     """The facets of each kind of boundary, see `shown.traces`."""
     spaces, p = solution.spaces, solution.p_means.copy()
     p[np.setdiff1d(np.arange(len(p)), spaces.outer_rows)] = np.nan
     u_D = solution.data.lift[spaces.unknowns(spaces.dirichlet)].mean(axis=1)
     return whole_boundary(spaces, signorini=p, dirichlet=u_D)
-
-
-def drawn(solution: LinearSolution) -> Drawn:
-    """The solution for pictures (collective)."""
-    laws, u = solution.data.laws, solution.u_vertices
-    sigma = solution.cell_flux.centroid
-    cells = {"sigma": sigma, "divergence": solution.divergences, **in_cells(solution)}
-    return Drawn(
-        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)} | corners_of(solution, u),
-        facets=table(solution),
-        boundary=solution.traces(),
-        cells=cells,
-        edges=edges_of(solution),
-        segments=laws.titles() if laws.listed else (),
-        inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
-        lines=lines_of(solution),
-    )

@@ -6,13 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.colors import ListedColormap
 
+from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.contact.law import EVERYWHERE
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.site_table import Surfaces
 from signorini_fenicsx.physics.diffusion.show.phreatic import lines_in
-from signorini_fenicsx.physics.diffusion.show.pools import Pools, water_lines
-from signorini_fenicsx.physics.diffusion.show.shown import SEGMENTS, STATE
+from signorini_fenicsx.physics.diffusion.show.pools import Pools, u_at_points, water_lines
+from signorini_fenicsx.physics.diffusion.show.shown import STATE
 from signorini_fenicsx.physics.diffusion.show.states import titles
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.curves import moves
@@ -24,7 +28,7 @@ from signorini_fenicsx.pictures.evolution import (
     fronts_of,
     shown,
 )
-from signorini_fenicsx.pictures.panels import DrawnSteps, File, Overlay, Panel, Pictures, Where, error_panel
+from signorini_fenicsx.pictures.panels import Drawn, DrawnSteps, File, Overlay, Panel, Pictures, Where, error_panel
 from signorini_fenicsx.pictures.plane import levels_between
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.streams import of_means, streamlines
@@ -35,6 +39,60 @@ DOTS = {"color": "C1", "linestyle": "", "marker": "o", "markersize": 2.8}
 FLUX = LINE | {"color": "C2"}
 IN_SPACE = {"color": "black", "opacity": 0.25}
 SETS = Panel("", Where.SETS, "contact set")
+SEGMENTS = "segments of "
+
+
+def drawn(solution: Any) -> Drawn:
+    """See `Pictures.drawn`."""
+    flux, u, laws, inside = solution.cell_flux, solution.u_vertices, solution.data.laws, solution.data.inside
+    if (
+        inside
+        and solution.order == 1
+        and all(given.number is not None for part in inside.of_regions for given in part.data.values())
+    ):  # u is constant where it is held, and a line of this level is to end there
+        u = np.where(solution.held_cells[:, None], owned_values(solution.u)[:, None], u)
+    sigma, of_u, x = flux.centroid, solution.data.quasilinear, corners(solution.spaces.mesh)
+    at_corners = {"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)}
+    if of_u is not None and of_u.has_soils:
+        wet = np.stack([of_u.saturation(x[:, k], u[:, k]) for k in range(u.shape[1])], axis=1)
+        at_corners["saturation"] = wet[:, :, None]
+    slaves = [part for pair in solution.boundary.pairs for part in pair.slave]
+    table, segments = solution.table(), laws.titles() if laws.listed else ()
+    gamma_s = Surfaces(
+        solution.spaces.part_names, table, table, solution.columns, segments, [*solution.boundary.inner, *slaves]
+    )
+    fronts = "edge of the contact" if inside.bounds_alone else "fronts"
+    above = max((about.get("above_table", 0.0) for about in solution.water.values()), default=0.0)
+    return Drawn(
+        corners=at_corners,
+        cells={"sigma": sigma, "divergence": solution.divergences, **_held(solution)},
+        boundary=solution.traces(),
+        surfaces=[gamma_s],
+        states={fronts: solution.cell_segments} if inside else {},
+        over=_phreatic(solution),
+        words=[f"{100 * above:.3g} % of the discharge at negative pressure"] if above else [],
+    )
+
+
+def _held(solution: Any) -> dict[str, npt.NDArray]:
+    """Of laws in Ω where u is held, and of each law its segment, 0 elsewhere (collective)."""
+    laws = solution.data.inside
+    found = {"contact": solution.held_cells} if laws else {}
+    for part in laws.of_regions if laws else ():
+        segment = np.sort(part.law.named(solution.segments_of_law(part)).reshape(len(part.rows), -1), axis=1)
+        labels = np.zeros(len(solution.held_cells), dtype=np.int64)
+        labels[part.rows] = 1 + segment[:, segment.shape[1] // 2]  # with RT1 that of most vertices
+        found[SEGMENTS + part.name] = labels
+    return found
+
+
+def _phreatic(solution: Any) -> list[Overlay]:
+    """The phreatic line, in space a surface (collective)."""
+    if solution.water_kind is None:
+        return []
+    if solution.spaces.mesh.topology.dim == 3:
+        return [Overlay("phreatic surface", solution.phreatic, IN_SPACE)]
+    return [Overlay("phreatic line", solution.phreatic, {"color": "black", "linewidth": 1.8})]
 
 
 def files(scene: Scene) -> dict[str, File]:
@@ -46,7 +104,7 @@ def files(scene: Scene) -> dict[str, File]:
     across = replace(u, where=Where.ACROSS)
     on_gamma = [*_on_gamma(scene, water), *of_states(scene)] if scene.labels else []
     by_laws = [] if water is not None and water.only is not None else segments(scene)
-    in_cells = [across, *([replace(SETS, title=scene.edges)] if "states" in scene.fields.in_cells else [])]
+    in_cells = [across, *(replace(SETS, title=name) for name in scene.fields.states)]
     error, steps = error_panel(scene, r"error contributions $\eta_T$"), Panel("", Where.STEPS, "iteration errors")
     of_water = [] if water is None else wetness(scene, water)
     surface = [] if water is not None else [replace(u, where=Where.SURFACE, title=f"{u.label} as a surface")]
@@ -65,7 +123,7 @@ def files(scene: Scene) -> dict[str, File]:
 def _u(scene: Scene, water: Pools | None) -> Panel:
     """U, or the head of water, with level lines."""
     name, only = (scene.plot.u_label, None) if water is None else (with_unit("head $H$", scene.plot.unit), water.only)
-    values = scene.u if water is None else water.head
+    values = u_at_points(scene) if water is None else water.head
     seen = values if only is None else values[scene.fields.cells[only]]
     levels = scene.plot.levels or levels_between(float(seen.min()), float(seen.max()))
     return Panel(values, Where.MAP, name, name, levels=levels, only=only)
@@ -83,7 +141,7 @@ def _streams(scene: Scene, water: Pools | None) -> Panel:
     ends, log = scene.usual(in_cells), style.spans_decades(in_cells, scene.measure)
     streams = Panel(strength, Where.STREAMS, title, label, style.STREAM_MAP, ends=ends, log=log)
     if scene.dim == 3:
-        return replace(streams, sign=sign_of(scene))
+        return replace(streams, flow=sign_of(scene) * fields.at_points["sigma"])
     if water is not None and water.only is not None:
         head = _u(scene, water)
         return replace(head, where=Where.STREAMS, title=title, levels=(), lines=water_lines(fields))
@@ -94,13 +152,13 @@ def _streams(scene: Scene, water: Pools | None) -> Panel:
 
 def _on_gamma(scene: Scene, water: Pools | None) -> list[Panel]:
     """Along Γ_S the trace of u, or of water the head, and the physical flux outwards."""
-    plot, sign, bounded = scene.plot, sign_of(scene), not scene.segments  # other laws have neither ψ nor q_S
+    plot, sign, bounded = scene.plot, sign_of(scene), not scene.surface.segments  # other laws have neither ψ nor q_S
     seen = {key: sign * values for key, values in vars(scene.sites).items() if key in ("flux", "flux_at", "q_S")}
     p, u, bound, title = "$p_h$", "$u_h$", r"$\psi$, $q_S$", plot.u_label if plot.u else "trace of $u$"
-    if water is not None and not scene.inside:  # there are jumps
+    if water is not None and not scene.surface.inside:  # there are jumps
         p, u, bound, title = "$H$", "$H$", "height, $q_S$", with_unit("head $H$", plot.unit)
         seen |= water.heads_on(scene.sites, scene.dim)
-    shown = replace(scene, sites=replace(scene.sites, **seen)) if water is not None or sign < 0 else None
+    shown = scene.with_surface(table=replace(scene.sites, **seen)) if water is not None or sign < 0 else None
     flux = r"$\sigma_h\cdot n$" if sign > 0 else r"$-\sigma_h\cdot n$"
     name = f"{plot.flux_name} outwards" if plot.flux else f"flux {flux}" if water is None else "outflow"
     curves = {"p": (p, LINE | {"color": "C0"}), "u": (f"{u} in the cell behind", DOTS)}
@@ -157,10 +215,9 @@ def wetness(scene: Scene, water: Pools) -> list[Panel]:
 
 
 def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
-    """Over maps: the water outside, what is dry, fronts, the phreatic line."""
-    points, water, colour = scene.fields.points, Pools.of(scene), style.WATER
+    """Over maps: the water outside, what is dry, fronts."""
+    points, water = scene.fields.points, Pools.of(scene)
     if water is not None:
-        colour = "black"
         face = f"{scene.gamma}, contact"
         seepage = {face: f"{face} (seepage face)"}
         usual = [replace(each, label=seepage.get(each.label, each.label)) for each in usual]
@@ -170,11 +227,8 @@ def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
         usual += [Overlay("dry", list(points[scene.fields.cells[~water.only]]), dry, filled=True)]
     elif scene.dim == 2:
         fronts = {"color": style.CONTACT, "linewidth": 1.8}
-        usual += [Overlay(scene.edges, list(points[scene.free_boundary()]), fronts)]
-    look = {"color": colour, "linewidth": 1.8}
-    for name, lines in scene.lines.items():
-        named, drawn = (name.replace("line", "surface"), IN_SPACE) if scene.dim == 3 else (name, look)
-        usual = [*usual, Overlay(named, lines, drawn)]
+        name, between = scene.fronts
+        usual += [Overlay(name, list(points[between]), fronts)]
     return usual
 
 
@@ -200,7 +254,7 @@ def in_time(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
     )
     if fronts := steps.kept.get("own"):
         lines = {steps.times[step - 1]: fronts_of(scene, each) for step, each in fronts.items()}
-        draw_fronts(folder / "fronts.png", scene, lines, scene.edges)
+        draw_fronts(folder / "fronts.png", scene, lines, scene.fronts[0])
     if scene.dim == 2 and (tables := steps.readings.get("phreatic")):
         chosen = chosen_for_fronts(len(tables))
         draw_fronts(
@@ -228,4 +282,4 @@ def columns_of_cells(solution: Any) -> dict[str, str]:
     }
 
 
-PICTURES = Pictures(files, over, kept, in_time)
+PICTURES = Pictures(drawn, files, over, kept, in_time, heights=u_at_points)

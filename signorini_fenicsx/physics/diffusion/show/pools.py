@@ -45,7 +45,7 @@ class Pools:
         water: Water | None = getattr(scene.solution, "water_kind", None)
         if water is None:
             return None
-        at = scene.fields.points, scene.u, scene.fields.at_points["sigma"]
+        at = scene.fields.points, u_at_points(scene), scene.fields.at_points["sigma"]
         only = wet(scene.fields) if water.u == INTEGRAL else None
         return cls(water, water.head(*at), water.pressure(*at), _pools(scene, water), only)
 
@@ -74,6 +74,16 @@ class Pools:
         ]
 
 
+def u_at_points(scene: Scene) -> Array:
+    """u_h at the points of the scene: p_h on Γ_S, u_D on Γ_D, elsewhere the mean over the cells around."""
+    inner, known = scene.fields.at_points["u"][:, 0], scene.boundary.known[:, 0]
+    finite = np.isfinite(known)
+    vertices = scene.boundary.vertices[finite].ravel()
+    count = np.bincount(vertices, minlength=len(inner))
+    total = np.bincount(vertices, np.repeat(known[finite], scene.dim), minlength=len(inner))
+    return np.where(count > 0, total / np.maximum(count, 1), inner)
+
+
 def _levels(scene: Scene, water: Water) -> tuple[Indices, Array]:
     """The facets that water outside may wet, and its level before each, NaN where there is none.
 
@@ -93,7 +103,7 @@ def _levels(scene: Scene, water: Water) -> tuple[Indices, Array]:
     rivers = [part for each in laws if isinstance(each.law, River) for part in each.law.parts]
     at_river = np.isin(scene.facets.part, [index for index, part in enumerate(scene.labels) if part in rivers])
     on_gamma[at_river] = water.head(x, scene.on_facets("psi"))[at_river]
-    level = water.head(middle, boundary.u[boundary.kind == DIRICHLET])
+    level = water.head(middle, boundary.known[boundary.kind == DIRICHLET, 0])
     return np.concatenate([given, scene.facets.vertices]), np.concatenate([level, on_gamma])
 
 

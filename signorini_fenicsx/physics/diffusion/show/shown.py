@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cells_behind, owned_values
+from signorini_fenicsx.base.owned import cells_behind
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.text import named
@@ -24,7 +23,7 @@ from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
 from signorini_fenicsx.physics.diffusion.show.states import states
-from signorini_fenicsx.solving.drawn import Drawn, Kind, whole_boundary
+from signorini_fenicsx.pictures.gather import Known, whole_boundary
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
 
@@ -172,73 +171,13 @@ def free_boundary(solution: Solution) -> Columns:
     return dict(zip(("x", "y", "z", "measure"), in_order.T, strict=True))
 
 
-def edges_of(solution: Solution) -> str:
-    """What the lines between cells on different segments are called in pictures."""
-    return "edge of the contact" if solution.data.inside.bounds_alone else "fronts"
-
-
-def traces(solution: Solution) -> dict[int, Kind]:
+def traces(solution: Solution) -> dict[int, Known]:
     """The facets of each kind of boundary, with p_h on Γ_S but for jumps, and the means of u_D."""
     spaces, lift = solution.spaces, solution.data.u_lift
     p = solution.p.x.array[: len(spaces.facets)].copy()
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
     return whole_boundary(spaces, signorini=p, dirichlet=u_D)
-
-
-def corners_of(solution: Solution, u: Array) -> dict[str, Array]:
-    """The saturation of soils at the vertices of cells, for pictures."""
-    of_u = solution.data.quasilinear
-    if of_u is None or not of_u.has_soils:
-        return {}
-    x = corners(solution.spaces.mesh)
-    return {"saturation": np.stack([of_u.saturation(x[:, k], u[:, k]) for k in range(u.shape[1])], axis=1)[..., None]}
-
-
-def lines_of(solution: Solution) -> dict[str, list[Array]]:
-    """The phreatic line in maps, in space a surface (collective when first used)."""
-    return {} if solution.water_kind is None else {"phreatic line": solution.phreatic}
-
-
-def drawn(solution: Solution) -> Drawn:
-    """The solution for pictures (collective)."""
-    laws = solution.data.laws
-    u, laws_inside = solution.u_vertices, solution.data.inside
-    if laws_inside and all(
-        given.number is not None for part in laws_inside.of_regions for given in part.data.values()
-    ):  # u is constant where it is held, and a line of this level is to end there
-        u = np.where(solution.held_cells[:, None], owned_values(solution.u)[:, None], u)
-    sigma = solution.cell_flux.centroid
-    cells = {"sigma": sigma, "divergence": solution.cell_flux.divergence, **in_cells(solution)}
-    above = max((about.get("above_table", 0.0) for about in solution.water.values()), default=0.0)
-    return Drawn(
-        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)} | corners_of(solution, u),
-        facets=table(solution),
-        boundary=solution.traces(),
-        cells=cells,
-        edges=edges_of(solution),
-        segments=laws.titles() if laws.listed else (),
-        inside=solution.boundary.inner,
-        lines=lines_of(solution),
-        words=[f"{100 * above:.3g} % of the discharge at negative pressure"] if above else [],
-    )
-
-
-SEGMENTS = "segments of "
-
-
-def in_cells(solution: Any) -> dict[str, npt.NDArray]:
-    """Values for pictures of laws in Ω: where u is held, states, of each law its segment, 0 elsewhere (collective)."""
-    laws = solution.data.inside
-    if not laws:
-        return {}
-    found = {"contact": solution.held_cells, "states": solution.cell_segments}
-    for part in laws.of_regions:
-        segment = np.sort(part.law.named(solution.segments_of_law(part)).reshape(len(part.rows), -1), axis=1)
-        labels = np.zeros(len(solution.held_cells), dtype=np.int64)
-        labels[part.rows] = 1 + segment[:, segment.shape[1] // 2]  # with RT1 that of most vertices
-        found[SEGMENTS + part.name] = labels
-    return found
 
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}

@@ -1,7 +1,7 @@
 """What is drawn of an elastic solution: the deformed body, pressure and friction, and both over time."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +11,31 @@ from scipy.spatial import cKDTree
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.cases.plot import with_unit
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
+from signorini_fenicsx.discrete.site_table import Facets, Surfaces, along_parts
 from signorini_fenicsx.meshes.domain import AXES, other_side
-from signorini_fenicsx.physics.elasticity.show.shown import BodyFacets
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.show.shown import in_space
+from signorini_fenicsx.physics.elasticity.show.tables import STATES, middles, segment_names, vertex_numbers
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.evolution import draw_over_time
+from signorini_fenicsx.pictures.gather import PARTLY_FIXED, whole_boundary
 from signorini_fenicsx.pictures.geometry import arrows
-from signorini_fenicsx.pictures.panels import DrawnSteps, File, Overlay, Panel, Pictures, Where, error_panel, on_gamma
+from signorini_fenicsx.pictures.panels import (
+    Drawn,
+    DrawnSteps,
+    File,
+    Overlay,
+    Panel,
+    Pictures,
+    Where,
+    error_panel,
+    on_gamma,
+)
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
+from signorini_fenicsx.solving.fields import von_mises
 
 SHARE = 0.05
 """Of the body's size that the largest displacement is drawn as."""
@@ -44,13 +60,95 @@ LOADED = 1e-6
 """A part is loaded if the force on it is larger than this share of the largest of all parts."""
 
 
+@dataclass(frozen=True)
+class BodyFacets(Facets):
+    """One row per facet of Γ_C.
+
+    Attributes:
+        normals: The outer unit normals, shape (facets, d).
+        gaps: The gap at the vertices of each facet, linear on it, shape (facets, d).
+        apart: The gap before any displacement there, 0 but for parts inside the domain and slaves of pairs.
+        opposite: The number of a vertex opposite to a slave of a pair, else −1.
+    """
+
+    normals: Array
+    gaps: Array
+    apart: Array
+    opposite: Indices
+
+
+def drawn(solution: Any) -> Drawn:
+    """The solution for pictures: for σ the largest von Mises stress of each cell (collective)."""
+    spaces, nothing = solution.spaces, np.empty(0, dtype=np.int32)
+    by_geometry = np.argsort(spaces.order, axis=1)[:, :, None]
+    fixed = np.concatenate([nothing, *(spaces.domain.facets[part] for part in solution.boundary.fixed)])
+    free = np.setdiff1d(spaces.neumann_facets, fixed)
+    kinds = {kind: facets for kind, (facets, _) in whole_boundary(spaces).items()}
+    kinds |= {NEUMANN: free, PARTLY_FIXED: fixed}
+    unknown = {kind: np.full((len(facets), spaces.dim), np.nan) for kind, facets in kinds.items()}
+    given = spaces.tractions(spaces.boundary_facets(free), solution.stresses).mean(axis=1)
+    sides = [name for pair in solution.boundary.pairs for name in (*pair.slave, *pair.master)]
+    given[np.isin(free, np.concatenate([nothing, *(spaces.domain.facets[side] for side in sides)]))] = 0.0
+    u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)
+    stress = von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None]
+    named = solution.data.laws.of_parts or solution.data.friction
+    gamma_c = Surfaces(
+        spaces.part_names,
+        _facets(solution),
+        solution.table(),
+        solution.columns,
+        [*segment_names(solution), *STATES] if named else (),
+        [*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
+    )
+    return Drawn(
+        corners={"u": u, "stress": np.repeat(stress[:, None], spaces.dim + 1, axis=1)},
+        cells={"u": u.mean(axis=1), "stress": stress},
+        boundary={kind: (facets, (unknown | {NEUMANN: given})[kind]) for kind, facets in kinds.items()},
+        surfaces=[gamma_c, *([] if solution.opposite is None else [solution.opposite])],
+    )
+
+
+def _facets(solution: Any) -> BodyFacets:
+    spaces, contact = solution.spaces, solution.spaces.contact
+    part = spaces.part_of_facet.astype(np.int64)
+    middle = middles(contact)
+    apart = np.zeros((len(middle), spaces.dim))
+    normal = spaces.site_kinds["normal"]
+    means = normal.rows_of(solution.data.lift[normal.unknown] + solution.data.laws.p_h)
+    between = np.concatenate([spaces.inner.rows, spaces.slave_rows])
+    apart[between] = linear_from_means(means)[between]
+    numbers, ascending = vertex_numbers(spaces, contact)
+    return BodyFacets(
+        part=part,
+        along=along_parts(spaces, part, middle),
+        x=middle,
+        measure=contact.measure,
+        vertices=numbers,
+        normals=contact.normals,
+        gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
+        apart=np.take_along_axis(apart, ascending, axis=1),
+        opposite=_opposite(spaces),
+    )
+
+
+def _opposite(spaces: ElasticSpaces) -> Indices:
+    """The number of a vertex in the mesh that is opposite to each facet of Γ_C in a pair, −1 elsewhere (collective)."""
+    numbers = np.full(len(spaces.contact.facets), -1)
+    for joint in spaces.joints:
+        rows, pieces = spaces.rows_of(joint), joint.pieces
+        masters, _ = vertex_numbers(spaces, spaces.boundary_facets(joint.masters))
+        of_pieces = joint.of_masters(spaces.mesh.comm, masters)[pieces.master, 0]
+        numbers[rows] = of_pieces[np.searchsorted(pieces.slave, np.arange(len(rows)))]
+    return numbers
+
+
 def files(scene: Scene) -> dict[str, File]:
     """The pictures of a solution."""
     fields, u = scene.fields, scene.fields.at_points["u"]
     size, largest = float(np.ptp(fields.points, axis=0).max()), float(np.linalg.norm(u, axis=1).max(initial=0.0))
     factor, shape = _placed(scene, size, largest)
     moved = fields.points + factor * (u + shape)
-    what = "displacement and gap" if {*scene.labels} - {*scene.inside} or shape.any() else "displacement"
+    what = "displacement and gap" if {*scene.labels} - {*scene.surface.inside} or shape.any() else "displacement"
     told = f"{what} × {factor:g}"
     body = scene.at(moved, _beside(scene, moved, factor, NEAR * size))
     foundation = (
@@ -174,7 +272,7 @@ def _arrows(scene: Scene, moved: Array, given: bool) -> Overlay:
     assert isinstance(facets, BodyFacets)
     if given:
         loaded = boundary.kind == NEUMANN
-        vertices, pulls, inwards = boundary.vertices[loaded], boundary.u[loaded], boundary.middles[loaded]
+        vertices, pulls, inwards = boundary.vertices[loaded], boundary.known[loaded], boundary.middles[loaded]
         inwards = inwards - scene.fields.points[vertices].mean(axis=1)
     else:
         free = ~_inside(scene)
@@ -204,7 +302,8 @@ def _strongest(scene: Scene) -> float:
 
 def _inside(scene: Scene) -> Mask:
     """Mask of the facets of Γ_C inside the domain, where two bodies touch."""
-    return np.isin(scene.facets.part, [index for index, name in enumerate(scene.labels) if name in scene.inside])
+    surface = scene.surface
+    return np.isin(surface.facets.part, [index for index, name in enumerate(surface.names) if name in surface.inside])
 
 
 def _at_points(vertices: Indices, values: Array, size: int) -> Array:
@@ -283,7 +382,7 @@ def in_time(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
 
 def _forces(scene: Scene, rows: Sequence[Mapping[str, Any]]) -> Sheet:
     """The contact force over time; the force on each part that moves against its mean displacement, inner ones once."""
-    axes_of, others = AXES[: scene.dim], {other_side(part) for part in scene.inside}
+    axes_of, others = AXES[: scene.dim], {other_side(part) for part in scene.surface.inside}
     parts = [key.removesuffix("_force_x") for key in rows[0] if key.endswith("_force_x")]
     moved = {part: np.array([[row[f"{part}_u_{axis}"] for axis in axes_of] for row in rows]) for part in parts}
     ranges = {part: np.ptp(path, axis=0) for part, path in moved.items()}
@@ -314,4 +413,4 @@ def _forces(scene: Scene, rows: Sequence[Mapping[str, Any]]) -> Sheet:
     return sheet
 
 
-PICTURES = Pictures(files, in_time=in_time)
+PICTURES = Pictures(drawn, files, in_time=in_time)

@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.cases.plot import Plot, in_unit, plot_of
-from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, opposite
-from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
-from signorini_fenicsx.discrete.site_table import Facets, along_parts
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, opposite
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import to_entries
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.show.tables import (
-    STATES,
-    friction_vectors,
-    labels,
-    middles,
-    segment_names,
-    vertex_numbers,
-)
+from signorini_fenicsx.physics.elasticity.show.tables import STATES, friction_vectors, labels, segment_names
 from signorini_fenicsx.physics.elasticity.solve.residuals import imbalance
-from signorini_fenicsx.solving.drawn import PARTLY_FIXED, Drawn, whole_boundary
-from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields, von_mises
+from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
 if TYPE_CHECKING:  # it shows this
     from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -79,83 +68,6 @@ def in_space(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array
             padded[cells, :, :, 2, 2] = np.einsum("ne,nsae->nsa", share, to_entries(stresses[cells]))
             padded[cells, :, :, 2, 2] += rest[:, None, None]
     return padded
-
-
-@dataclass(frozen=True)
-class BodyFacets(Facets):
-    """One row per facet of Γ_C.
-
-    Attributes:
-        normals: The outer unit normals, shape (facets, d).
-        gaps: The gap at the vertices of each facet, linear on it, shape (facets, d).
-        apart: The gap before any displacement there, 0 but for parts inside the domain and slaves of pairs.
-        opposite: The number of a vertex opposite to a slave of a pair, else −1.
-    """
-
-    normals: Array
-    gaps: Array
-    apart: Array
-    opposite: Indices
-
-
-def drawn(solution: ElasticSolution) -> Drawn:
-    """The solution for pictures: for σ the largest von Mises stress of each cell (collective)."""
-    spaces, nothing = solution.spaces, np.empty(0, dtype=np.int32)
-    by_geometry = np.argsort(spaces.order, axis=1)[:, :, None]
-    fixed = np.concatenate([nothing, *(spaces.domain.facets[part] for part in solution.boundary.fixed)])
-    free = np.setdiff1d(spaces.neumann_facets, fixed)
-    kinds = {kind: facets for kind, (facets, _) in whole_boundary(spaces).items()}
-    kinds |= {NEUMANN: free, PARTLY_FIXED: fixed}
-    unknown = {kind: np.full((len(facets), spaces.dim), np.nan) for kind, facets in kinds.items()}
-    given = spaces.tractions(spaces.boundary_facets(free), solution.stresses).mean(axis=1)
-    sides = [name for pair in solution.boundary.pairs for name in (*pair.slave, *pair.master)]
-    given[np.isin(free, np.concatenate([nothing, *(spaces.domain.facets[side] for side in sides)]))] = 0.0
-    u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)
-    stress = von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None]
-    named = solution.data.laws.of_parts or solution.data.friction
-    return Drawn(
-        corners={"u": u, "stress": np.repeat(stress[:, None], spaces.dim + 1, axis=1)},
-        facets=_facets(solution),
-        boundary={kind: (facets, (unknown | {NEUMANN: given})[kind]) for kind, facets in kinds.items()},
-        cells={"u": u.mean(axis=1), "stress": stress},
-        segments=[*segment_names(solution), *STATES] if named else (),
-        inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
-        opposite=solution.opposite,
-    )
-
-
-def _facets(solution: ElasticSolution) -> BodyFacets:
-    spaces, contact = solution.spaces, solution.spaces.contact
-    part = spaces.part_of_facet.astype(np.int64)
-    middle = middles(contact)
-    apart = np.zeros((len(middle), spaces.dim))
-    normal = spaces.site_kinds["normal"]
-    means = normal.rows_of(solution.data.lift[normal.unknown] + solution.data.laws.p_h)
-    between = np.concatenate([spaces.inner.rows, spaces.slave_rows])
-    apart[between] = linear_from_means(means)[between]
-    numbers, ascending = vertex_numbers(spaces, contact)
-    return BodyFacets(
-        part=part,
-        along=along_parts(spaces, part, middle),
-        x=middle,
-        measure=contact.measure,
-        vertices=numbers,
-        normals=contact.normals,
-        gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
-        apart=np.take_along_axis(apart, ascending, axis=1),
-        opposite=_opposite(spaces),
-    )
-
-
-def _opposite(spaces: ElasticSpaces) -> Indices:
-    """The number of a vertex in the mesh that is opposite to each facet of Γ_C in a pair, −1 elsewhere (collective)."""
-    numbers = np.full(len(spaces.contact.facets), -1)
-    for joint in spaces.joints:
-        rows, pieces = spaces.rows_of(joint), joint.pieces
-        masters, _ = vertex_numbers(spaces, spaces.boundary_facets(joint.masters))
-        of_pieces = joint.of_masters(spaces.mesh.comm, masters)[pieces.master, 0]
-        numbers[rows] = of_pieces[np.searchsorted(pieces.slave, np.arange(len(rows)))]
-    return numbers
 
 
 def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, str]:

@@ -17,9 +17,8 @@ from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.pairing import Joint
-from signorini_fenicsx.discrete.site_table import Facets, SiteTable, along_parts
+from signorini_fenicsx.discrete.site_table import Facets, SiteTable, Surfaces, along_parts
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.solving.drawn import Surfaces
 from signorini_fenicsx.solving.solved import Columns
 
 if TYPE_CHECKING:  # it has these
@@ -30,39 +29,29 @@ STATES = (*Friction.segments, "open", "slip")
 
 
 @dataclass(frozen=True)
-class ContactTable(SiteTable):
-    """One row per vertex of each facet of Γ_C.
+class TractionTable(SiteTable):
+    """One row per vertex of each facet of some parts.
 
     Attributes:
         middle: Coordinate of the midpoint of the facet along the part.
         facet: Its midpoint, shape (rows, 3).
         measure: |e|.
-        pressure: −σ_nn.
-        gap: g − u_n, linear on the facet.
-        touching: Whether it is in contact.
-        segment: Index into the names of the segments of all laws.
-        shear: σ_t, in space |σ_t|, NaN without friction.
-        slip: u_t likewise.
-        shear_vector: σ_t as a vector in space, shape (rows, 3).
-        slip_vector: u_t likewise.
-        state: Index into `STATES`, −1 without friction.
         forward: 1 where the coordinate along the part grows along the tangent, −1 where it falls; 0 in space.
+        pressure: −σ_nn.
+        touching: Whether it is in contact; of what has no law, whether there is any traction.
+        shear: σ_t, in space |σ_t|; on Γ_C NaN without friction.
+        shear_vector: σ_t as a vector in space, shape (rows, 3).
     """
 
     middle: Array
     facet: Array
     measure: Array
-    pressure: Array
-    gap: Array
-    touching: Mask
-    segment: npt.NDArray[np.int64]
-    shear: Array
-    slip: Array
-    shear_vector: Array
-    slip_vector: Array
-    state: npt.NDArray[np.int64]
     forward: npt.NDArray[np.int64]
-    name = "contact"
+    pressure: Array
+    touching: Mask
+    shear: Array
+    shear_vector: Array
+    name = "pairs"
     places = ("along", "x", "middle", "facet")
 
     @property
@@ -70,14 +59,41 @@ class ContactTable(SiteTable):
         """The middle of the facet of each vertex, shape (rows, 3)."""
         return self.facet
 
-    @property
-    def shown(self) -> Indices:
-        """What pictures tell apart, in `Drawn.segments`: the state of friction in contact, else the segment."""
-        return np.where(self.touching & (self.state >= 0), self.state - len(STATES), self.segment)
-
     def in_contact(self, contact: object) -> Mask:
         """Mask of the vertices in contact."""
         return self.touching
+
+    @property
+    def number(self) -> Indices:
+        """The number of the facet of each row; facets are counted as they come."""
+        places = np.column_stack([self.part, self.facet])
+        _, first, facet = np.unique(places, axis=0, return_index=True, return_inverse=True)
+        return np.argsort(np.argsort(first))[facet.ravel()]
+
+
+@dataclass(frozen=True)
+class ContactTable(TractionTable):
+    """One row per vertex of each facet of Γ_C.
+
+    Attributes:
+        gap: g − u_n, linear on the facet.
+        segment: Index into the names of the segments of all laws.
+        slip: u_t as `shear` has σ_t.
+        slip_vector: u_t as a vector in space, shape (rows, 3).
+        state: Index into `STATES`, −1 without friction.
+    """
+
+    gap: Array
+    segment: npt.NDArray[np.int64]
+    slip: Array
+    slip_vector: Array
+    state: npt.NDArray[np.int64]
+    name = "contact"
+
+    @property
+    def shown(self) -> Indices:
+        """What pictures tell apart, in `Surfaces.segments`: the state of friction in contact, else the segment."""
+        return np.where(self.touching & (self.state >= 0), self.state - len(STATES), self.segment)
 
     @property
     def _rubs(self) -> Mask:
@@ -93,13 +109,6 @@ class ContactTable(SiteTable):
     def sliding_vector(self) -> Array:
         """The slip as a vector likewise."""
         return np.where(self._rubs[:, None], self.slip_vector, np.nan)
-
-    @property
-    def number(self) -> Indices:
-        """The number of the facet of each row; facets are counted as they come."""
-        places = np.column_stack([self.part, self.facet])
-        _, first, facet = np.unique(places, axis=0, return_index=True, return_inverse=True)
-        return np.argsort(np.argsort(first))[facet.ravel()]
 
 
 def table(solution: ElasticSolution) -> ContactTable:
@@ -128,7 +137,7 @@ def table(solution: ElasticSolution) -> ContactTable:
 
 
 def _places(spaces: ElasticSpaces, facets: BoundaryFacets, parts: npt.NDArray, names: Sequence[str]) -> dict[str, Any]:
-    """The columns of a `ContactTable` that say where its rows are."""
+    """The columns of a `TractionTable` that say where its rows are."""
     dim, part = spaces.dim, np.repeat(parts, spaces.dim).astype(np.int64)
     places, middle = _in_space(facets.vertices).reshape(-1, 3), np.repeat(middles(facets), dim, axis=0)
     along = along_parts(spaces, part, places, names)
@@ -202,18 +211,13 @@ def opposite_surfaces(solution: ElasticSolution) -> Surfaces | None:
     size = np.linalg.norm(tractions, axis=2)
     rounding = TIE * spaces.mesh.comm.allreduce(float(size.max(initial=0.0)), MPI.MAX)
     pulls[np.abs(pulls) <= rounding], shears[np.linalg.norm(shears, axis=2) <= rounding] = 0.0, 0.0
-    places, nothing = _places(spaces, facets, part, names), np.full(pulls.size, np.nan)
-    rows = ContactTable(
+    places = _places(spaces, facets, part, names)
+    rows = TractionTable(
         **places,
         pressure=-pulls.ravel(),
-        gap=nothing,
         touching=(size > rounding).ravel(),
-        segment=np.zeros(pulls.size, dtype=np.int64),
         shear=_along(facets.normals, shears).ravel(),
-        slip=nothing,
         shear_vector=_in_space(shears).reshape(-1, 3),
-        slip_vector=np.tile(nothing[:, None], 3),
-        state=np.full(pulls.size, -1),
     )
     first = slice(None, None, spaces.dim)
     numbers, _ = vertex_numbers(spaces, facets)
@@ -237,7 +241,7 @@ def other_tables(solution: ElasticSolution) -> dict[str, Columns]:
     return {"pairs": {} if table is None else surfaces.columns(table)}
 
 
-def _opposite_columns(names: Sequence[str], solution: ElasticSolution, table: ContactTable) -> Columns:
+def _opposite_columns(names: Sequence[str], solution: ElasticSolution, table: TractionTable) -> Columns:
     """The columns of `pairs.csv`, whose parts have these names."""
     masters = [name for pair in solution.boundary.pairs for name in pair.master]
     return {

@@ -7,11 +7,33 @@ from typing import Any
 import numpy as np
 
 from signorini_fenicsx.cases.plot import with_unit
+from signorini_fenicsx.physics.elasticity.show import pictures as of_bodies
+from signorini_fenicsx.physics.stokes.show.readings import pressure_of, traces, velocities
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.evolution import draw_over_time
-from signorini_fenicsx.pictures.panels import DrawnSteps, File, Panel, Pictures, Where, error_panel, on_gamma
+from signorini_fenicsx.pictures.panels import Drawn, DrawnSteps, File, Panel, Pictures, Where, error_panel, on_gamma
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.streams import streamlines
+
+
+def drawn(solution: Any) -> Drawn:
+    """The flow for pictures: the speed and the pressure (collective)."""
+    found = of_bodies.drawn(solution)
+    spaces, pressure = solution.spaces, pressure_of(solution.stresses)
+    by_geometry = np.argsort(spaces.order, axis=1)
+    of_vertex = np.empty((len(pressure), spaces.dim + 1))
+    for vertex in range(spaces.dim + 1):
+        others = [s for s in range(spaces.dim + 1) if s != vertex]
+        of_vertex[:, vertex] = np.mean([pressure[:, s, vertex - (vertex > s)] for s in others], axis=0)
+    at_corners = np.take_along_axis(of_vertex, by_geometry, axis=1)[:, :, None]
+    mean = pressure.mean(axis=(1, 2))[:, None]
+    u = found.corners["u"]
+    flow = np.take_along_axis(velocities(solution, traces(solution)), by_geometry[:, :, None], axis=1)
+    return replace(
+        found,
+        corners={"u": u, "pressure": at_corners},
+        cells={"u": found.cells["u"], "pressure": mean, "flow": flow.reshape(len(flow), -1)},
+    )
 
 
 def files(scene: Scene) -> dict[str, File]:
@@ -21,10 +43,10 @@ def files(scene: Scene) -> dict[str, File]:
     ends = scene.usual(np.linalg.norm(fields.in_cells["u"], axis=1))
     flow = Panel(speed, Where.MAP, "speed", with_unit("$|u_h|$", plot.unit), style.FLUX_MAP, ends=ends)
     streams = replace(flow, where=Where.STREAMS, title="streamlines")  # of û, which end on the boundary only
-    panels = [flow, replace(streams, colours=style.STREAM_MAP)]
+    at_corners = fields.in_cells["flow"].reshape(-1, scene.dim + 1, scene.dim)
+    panels = [flow, replace(streams, colours=style.STREAM_MAP, flow=at_corners)]
     if scene.dim == 2:
-        lines = streamlines(fields, fields.in_cells["flow"].reshape(-1, 3, 2))
-        panels = [replace(streams, title="streamlines on the speed", lines=lines)]
+        panels = [replace(streams, title="streamlines on the speed", lines=streamlines(fields, at_corners))]
     p = fields.at_points["pressure"][:, 0]
     usual = style.limits(fields.in_cells["pressure"][:, 0], scene.measure)
     pressure: dict[str, Any] = {"label": with_unit("$p_h$", plot.stress_unit), "colours": style.U_MAP, "ends": usual}
@@ -66,4 +88,4 @@ WORDS = {
     "around the contact set": "around what is closed",
     "apart or without friction": "open or without slip",
 }
-PICTURES = Pictures(files, in_time=in_time, words=WORDS)
+PICTURES = Pictures(drawn, files, in_time=in_time, words=WORDS)

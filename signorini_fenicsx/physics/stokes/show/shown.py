@@ -12,7 +12,6 @@ from signorini_fenicsx.physics.elasticity.show import tables
 from signorini_fenicsx.physics.elasticity.show.shown import forces_in_words, segments_in_words, value_at
 from signorini_fenicsx.physics.elasticity.show.tables import ContactTable
 from signorini_fenicsx.physics.stokes.show.readings import pressure_of, traces, velocities
-from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
 
@@ -43,26 +42,6 @@ def columns(solution: Any, table: ContactTable) -> Columns:
     found = dict(tables.columns(solution, table))
     found["condition"] = np.where(table.touching, "closed", "open")
     return {NAMES.get(name, name): values for name, values in found.items()}
-
-
-def drawn(solution: Any) -> Drawn:
-    """The flow for pictures: the speed and the pressure (collective)."""
-    found = of_bodies.drawn(solution)
-    spaces, pressure = solution.spaces, pressure_of(solution.stresses)
-    by_geometry = np.argsort(spaces.order, axis=1)
-    of_vertex = np.empty((len(pressure), spaces.dim + 1))
-    for vertex in range(spaces.dim + 1):
-        others = [s for s in range(spaces.dim + 1) if s != vertex]
-        of_vertex[:, vertex] = np.mean([pressure[:, s, vertex - (vertex > s)] for s in others], axis=0)
-    at_corners = np.take_along_axis(of_vertex, by_geometry, axis=1)[:, :, None]
-    mean = pressure.mean(axis=(1, 2))[:, None]
-    u = found.corners["u"]
-    flow = np.take_along_axis(velocities(solution, traces(solution)), by_geometry[:, :, None], axis=1)
-    return replace(
-        found,
-        corners={"u": u, "pressure": at_corners},
-        cells={"u": found.cells["u"], "pressure": mean, "flow": flow.reshape(len(flow), -1)},
-    )
 
 
 def lines(solution: Any, summary: Mapping[str, Any]) -> dict[str, str]:
