@@ -27,7 +27,7 @@ def _nothing() -> Indices:
 
 
 @dataclass(frozen=True)
-class Kind:
+class SiteKind:
     """The sites of one kind of this rank, all owned, possibly none.
 
     Attributes:
@@ -79,12 +79,12 @@ class Sites:
     """All sites of this rank, kind behind kind.
 
     Attributes:
-        unknown: Those of the kinds, see `Kind.unknown`.
+        unknown: Those of the kinds, see `SiteKind.unknown`.
         measure: That of each site.
         sign: Likewise.
     """
 
-    def __init__(self, *kinds: Kind):
+    def __init__(self, *kinds: SiteKind):
         """Put kinds behind each other."""
         ends = np.cumsum([0, *(len(kind) for kind in kinds)])
         self._kinds = {kind.name: replace(kind, first=int(first)) for kind, first in zip(kinds, ends, strict=False)}
@@ -101,13 +101,13 @@ class Sites:
         """The values of sites from rows as `spread` gives them."""
         return np.concatenate([of_kind[kind.rows].ravel() for kind, of_kind in zip(self, rows, strict=False)])
 
-    def __iter__(self) -> Iterator[Kind]:
+    def __iter__(self) -> Iterator[SiteKind]:
         return iter(self._kinds.values())
 
     def __contains__(self, name: str) -> bool:
         return name in self._kinds
 
-    def __getitem__(self, name: str) -> Kind:
+    def __getitem__(self, name: str) -> SiteKind:
         return self._kinds[name]
 
     def __len__(self) -> int:

@@ -183,10 +183,10 @@ def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
     Computed by quadrature on the facets of `fine`: exact, except on facets that `coarse` covers in part.
     """
     gamma = fine.spaces.Lambda.mesh
-    (theirs,) = sampled([coarse.indicator()], gamma, coarse.spaces.domain, degree=OVERLAP_DEGREE)
+    (covered,) = sampled([coarse.indicator()], gamma, coarse.spaces.domain, degree=OVERLAP_DEGREE)
     inside = fine.indicator()
     dx = ufl.Measure("dx", gamma, metadata={"quadrature_degree": OVERLAP_DEGREE, "quadrature_scheme": "default"})
-    forms = [fenicsx.form(integrand * dx) for integrand in (theirs * inside, theirs + inside - theirs * inside)]
+    forms = [fenicsx.form(integrand * dx) for integrand in (covered * inside, covered + inside - covered * inside)]
     both, either = gamma.comm.allreduce(np.array([fem.assemble_scalar(form) for form in forms])).tolist()
     return both / either if either > 0 else 1.0
 

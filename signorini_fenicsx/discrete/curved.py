@@ -30,8 +30,8 @@ def curved_parts(spaces: MeshSpaces) -> list[str]:
         squares = np.einsum("ni,nj->nij", normals, normals)
         bends = np.zeros(size)
         for i, j in zip(*np.triu_indices(dim), strict=True):
-            each = np.repeat(squares[:, i, j, None], nodes.shape[1], axis=1)
-            high, low = (extreme_around(space, nodes, each, largest=largest)[:size] for largest in (True, False))
+            product = np.repeat(squares[:, i, j, None], nodes.shape[1], axis=1)
+            high, low = (extreme_around(space, nodes, product, largest=largest)[:size] for largest in (True, False))
             bends = np.maximum(bends, np.where(np.isfinite(high), high, 0.0) - np.where(np.isfinite(low), low, 0.0))
         on_part, least, most = np.isfinite(high), *BEND
         counts = np.array([((bends > least) & (bends < most)).sum(), on_part.sum()])

@@ -26,7 +26,7 @@ from signorini_fenicsx.base.owned import (
     owned_cells,
 )
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.contact.sites import SiteKind, Sites
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.discrete.known import Kept
@@ -149,8 +149,8 @@ class MeshSpaces:
         facets, cells = self.facet_measure, self.cell_measures
         unknown = cells_and_dofs(self.crouzeix_raviart, self.facets)[1]
         return Sites(
-            Kind("facet", len(facets), np.arange(len(facets)), facets, unknown=unknown),
-            Kind("cell", len(cells), np.arange(len(cells)), cells, unknown=unknown[:0]),
+            SiteKind("facet", len(facets), np.arange(len(facets)), facets, unknown=unknown),
+            SiteKind("cell", len(cells), np.arange(len(cells)), cells, unknown=unknown[:0]),
         )
 
     def note(self, sentence: str) -> None:

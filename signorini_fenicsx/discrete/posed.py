@@ -6,7 +6,7 @@ from enum import Enum, auto
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.chains import SiteConditions
-from signorini_fenicsx.contact.sites import Kind
+from signorini_fenicsx.contact.sites import SiteKind
 from signorini_fenicsx.discrete.vertex_laws import Springs
 from signorini_fenicsx.linear.constrained_matrix import Imposed
 
@@ -33,7 +33,7 @@ class Posed:
     """
 
     conditions: SiteConditions
-    springs: Sequence[tuple[Kind, Springs]]
+    springs: Sequence[tuple[SiteKind, Springs]]
     imposed: Imposed
     weak: Array | float = 0.0
     loose: bool = False

@@ -52,7 +52,7 @@ class Facets(SiteTable):
 
     Attributes:
         measure: |e|.
-        vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
+        vertices: Their numbers in the mesh, ascending, in a scene rows of `DrawnFields.points`, shape (facets, dim).
     """
 
     measure: Array

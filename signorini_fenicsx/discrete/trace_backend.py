@@ -15,7 +15,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.contact.backend import Iterate, PlainBackend
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
-from signorini_fenicsx.contact.sites import Kind
+from signorini_fenicsx.contact.sites import SiteKind
 from signorini_fenicsx.discrete.hybrid_system import HybridSystem, TraceSystem
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
@@ -143,12 +143,12 @@ class TraceBackend(PlainBackend):
         return conditions.clean(p, flux, self.conductance)
 
     @property
-    def on_facets(self) -> list[tuple[Kind, VertexLaws]]:
+    def on_facets(self) -> list[tuple[SiteKind, VertexLaws]]:
         """The kinds of sites on facets that have `VertexLaws`, with these."""
         return [(self._first, self.laws)]
 
     @property
-    def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
+    def with_laws(self) -> list[tuple[SiteKind, VertexLaws]]:
         """All kinds of sites that have `VertexLaws`, with these."""
         return self.on_facets
 

@@ -56,14 +56,14 @@ def draw_over_time(path: Path, scene: Scene, steps: DrawnSteps, panels: Sequence
         curves = {("sets", "measure"): sizes, **curves}
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
     draw = _draw_along if scene.dim == 2 else _draw_views
-    sheet, rows, more = draw(scenes, steps.times, panels if scene.labels else [], len(curves))
+    sheet, rows, entries = draw(scenes, steps.times, panels if scene.labels else [], len(curves))
     for row, ((title, label), named) in enumerate(curves.items(), start=rows):
         axes = sheet.panel(row, 0, columns=len(sheet.widths))
         for name, (values, colour) in named.items():
             (line,) = axes.plot(steps.times, values, color=colour, linewidth=1.6, label=name)
-            more += [line] if name not in groups else []
+            entries += [line] if name not in groups else []
         axes.set(xlabel=scene.plot.along("t"), ylabel=label, title=title)
-    sheet.legend_below([*handles, *more])
+    sheet.legend_below([*handles, *entries])
     sheet.save(path)
 
 
@@ -80,14 +80,14 @@ def _draw_along(
     for part, column in itertools.product(range(len(parts)), range(len(panels))):
         panel, axes = panels[column], sheet.panel(part, column, aspect=width / 2.4 if values_of else None)
         lines, label = pieces(scene, part)
-        here = scene.facets.part == part
-        over_time, look = _numbers(scenes) if panel.where is Where.SETS else _values(scenes, panel, here)
+        on_part = scene.facets.part == part
+        over_time, look = _numbers(scenes) if panel.where is Where.SETS else _values(scenes, panel, on_part)
         for line in lines:
             image = axes.pcolormesh(line.ends, ends, over_time[:, line.rows], rasterized=True, **look)
         if panel.where is Where.GAMMA:
             sheet.bar(axes, image, panel.label)
-            blank |= bool(np.isnan(over_time[:, here]).any())
-            if (here & touched).any():
+            blank |= bool(np.isnan(over_time[:, on_part]).any())
+            if (on_part & touched).any():
                 pairs = [np.stack([line.ends[:-1], line.ends[1:]], axis=1)[touched[line.rows]] for line in lines]
                 shown = np.concatenate(pairs)
                 room = 0.1 * np.ptp(shown)
@@ -112,11 +112,11 @@ def _numbers(scenes: Sequence[Scene]) -> tuple[Array, dict[str, Any]]:
     return numbers, {"cmap": ListedColormap(list(groups.values())), "vmin": -0.5, "vmax": len(groups) - 0.5}
 
 
-def _values(scenes: Sequence[Scene], panel: Panel, here: Mask) -> tuple[Array, dict[str, Any]]:
+def _values(scenes: Sequence[Scene], panel: Panel, on_part: Mask) -> tuple[Array, dict[str, Any]]:
     """The means of a column over each facet in each step, and their colours for some of them."""
     column = next(iter(panel.curves))
     values = np.array([scene.on_facets(column) for scene in scenes])
-    largest = max(float(np.abs(np.nan_to_num(values[:, here])).max(initial=0.0)), 1e-300)
+    largest = max(float(np.abs(np.nan_to_num(values[:, on_part])).max(initial=0.0)), 1e-300)
     low = -largest if panel.colours == style.SIGNED_MAP else 0.0
     return values, {"cmap": panel.colours, "vmin": low, "vmax": largest}
 

@@ -28,7 +28,7 @@ class DrawnBoundary:
     Attributes:
         kind: `SIGNORINI`, `DIRICHLET` or `NEUMANN` of `discrete.mesh_spaces`, or `PARTLY_FIXED`.
         known: What is known there, see `Known`, shape (facets, k).
-        vertices: Rows of `Fields.points`, ascending by their numbers in the mesh, shape (facets, dim).
+        vertices: Rows of `DrawnFields.points`, ascending by their numbers in the mesh, shape (facets, dim).
         middles: The middle of the cell of each facet, shape (facets, dim).
     """
 
@@ -39,7 +39,7 @@ class DrawnBoundary:
 
 
 @dataclass(frozen=True)
-class Fields:
+class DrawnFields:
     """Mesh and values for pictures, of all cells or of a sample of them, see `Sample`.
 
     Attributes:
@@ -103,7 +103,7 @@ def _middles(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
 
 def fields_of(
     sample: Sample, corners: Mapping[str, Array], cells: Mapping[str, npt.NDArray], states: Mapping[str, npt.NDArray]
-) -> Fields | None:
+) -> DrawnFields | None:
     """The values of all ranks on rank 0; None elsewhere (collective)."""
     ends = np.cumsum([values.shape[2] for values in corners.values()])
     at_points = sample.at_points(np.concatenate(list(corners.values()), axis=2))
@@ -114,4 +114,4 @@ def fields_of(
     if at_points is None:
         return None
     named = dict(zip(corners, np.split(at_points, ends[:-1], axis=1), strict=True))
-    return Fields(sample.ids, sample.points, sample.cells, sample.of, named, in_cells, of_states)
+    return DrawnFields(sample.ids, sample.points, sample.cells, sample.of, named, in_cells, of_states)

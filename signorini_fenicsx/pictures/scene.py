@@ -26,7 +26,14 @@ from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.discrete.site_table import Facets, Surfaces
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.gather import PARTLY_FIXED, DrawnBoundary, Fields, boundary_of, fields_of, sample_of
+from signorini_fenicsx.pictures.gather import (
+    PARTLY_FIXED,
+    DrawnBoundary,
+    DrawnFields,
+    boundary_of,
+    fields_of,
+    sample_of,
+)
 from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures
 from signorini_fenicsx.pictures.sample import Sample
 from signorini_fenicsx.solving.physics import PHYSICS
@@ -65,7 +72,7 @@ class Scene:
 
     solution: Solved
     caption: str
-    fields: Fields
+    fields: DrawnFields
     boundary: DrawnBoundary
     surfaces: Sequence[Surfaces]
     besides: Sequence[Overlay] = ()
@@ -157,9 +164,9 @@ class Scene:
         """Whether there is more of a panel on a part than 0; what tells its peak tells this too."""
         plane = self.dim == 2
         columns = [getattr(self.sites, key) for key in panel.curves] if plane else [self.on_facets(panel.what)]
-        here = (self.sites if plane else self.facets).part == list(self.labels).index(part)
+        on_part = (self.sites if plane else self.facets).part == list(self.labels).index(part)
         sizes = [np.abs(np.nan_to_num(each)) for each in columns]
-        return panel.peak or any(np.any(each[here] > TIE * each.max(initial=0.0)) for each in sizes)
+        return panel.peak or any(np.any(each[on_part] > TIE * each.max(initial=0.0)) for each in sizes)
 
     @cached_property
     def by_parts(self) -> list[Scene]:
@@ -323,9 +330,9 @@ def gathered_scene(
     )
 
 
-def _rows(table: Any, here: Mask) -> dict[str, npt.NDArray]:
+def _rows(table: Any, rows: Mask) -> dict[str, npt.NDArray]:
     """The columns of a table on some of its rows."""
-    return {key: values[here] for key, values in vars(table).items()}
+    return {key: values[rows] for key, values in vars(table).items()}
 
 
 def caption(solution: Solved, words: Sequence[str], certificate: Certificate | None) -> str:

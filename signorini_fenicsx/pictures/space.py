@@ -128,10 +128,10 @@ class Space:
         groups, directions = [group.facets for group in self.scene.groups], np.array(VIEWS)
         seen = np.array([seen_from(self.scene, view) for view in VIEWS])
         first = best_view(seen, groups, directions)
-        more = np.maximum(seen - seen[first], 0)
-        if more.sum(axis=1).max(initial=0.0) <= (1 - SAME) * seen.max(axis=0).sum():
+        hidden = np.maximum(seen - seen[first], 0)
+        if hidden.sum(axis=1).max(initial=0.0) <= (1 - SAME) * seen.max(axis=0).sum():
             return [VIEWS[first]]
-        return [VIEWS[first], VIEWS[best_view(more, groups, directions)]]
+        return [VIEWS[first], VIEWS[best_view(hidden, groups, directions)]]
 
     @cached_property
     def view_of_contact(self) -> Array:

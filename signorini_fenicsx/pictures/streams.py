@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.gather import Fields
+from signorini_fenicsx.pictures.gather import DrawnFields
 
 GRID = 110
 """Points of the grid along the longer side of the domain."""
@@ -24,14 +24,14 @@ STILL = 1e-3
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
-def of_means(fields: Fields) -> Array:
+def of_means(fields: DrawnFields) -> Array:
     """σ_h of RT0 at the corners of the cells, from its means and its divergence, shape (cells, 3, 2)."""
     corners = fields.points[fields.cells]
     offsets = corners - corners.mean(axis=1, keepdims=True)
     return np.asarray(fields.in_cells["sigma"][:, None] + fields.in_cells["divergence"][:, None, None] / 2 * offsets)
 
 
-def streamlines(fields: Fields, at_corners: Array) -> tuple[list[Array], Array]:
+def streamlines(fields: DrawnFields, at_corners: Array) -> tuple[list[Array], Array]:
     """Streamlines of a field that is linear on cells, and arrow heads in their middle.
 
     Args:
@@ -55,7 +55,7 @@ def streamlines(fields: Fields, at_corners: Array) -> tuple[list[Array], Array]:
     return lines, heads(lines, (low, high))
 
 
-def on_grid(fields: Fields, at_corners: Array, x: Array, y: Array) -> Array:
+def on_grid(fields: DrawnFields, at_corners: Array, x: Array, y: Array) -> Array:
     """A field, linear on cells, at the points of a regular grid, shape (2, len(y), len(x)); NaN outside the domain."""
     origin, spacing = np.array([x[0], y[0]]), np.array([x[1] - x[0], y[1] - y[0]])
     corners = (fields.points[fields.cells] - origin) / spacing  # in units of the grid

@@ -82,10 +82,10 @@ def draw_trace(scene: Scene, axes: Axes, name: str, panel: Panel, named: Callabl
                     ends = line.ends[run[0]], line.ends[run[-1] + 1]
                     axes.axvspan(*ends, color=group.colour, alpha=SHADE, linewidth=0)
     for column, (_, look) in panel.curves.items():
-        values, here = getattr(table, column), table.part == part
+        values, on_part = getattr(table, column), table.part == part
         if rows.shape[1] > 1:
             values = without_rounding(values)
-            axes.plot(table.along[here], values[here], **look)
+            axes.plot(table.along[on_part], values[on_part], **look)
         for line in lines if rows.shape[1] == 1 else ():
             of_line, at = values[rows[line.rows, 0]], getattr(table, f"{column}_at", None)
             if at is not None and label in ("x", "y"):
@@ -98,7 +98,7 @@ def draw_trace(scene: Scene, axes: Axes, name: str, panel: Panel, named: Callabl
             else:
                 axes.stairs(of_line, line.ends, baseline=None, **look)
         if panel.peak:
-            largest = float(values[here].max(initial=0.0))
+            largest = float(values[on_part].max(initial=0.0))
             title += f", at most {largest:.4g}" if largest > 0 else ", none"
     axes.set(title=named(title), xlabel=scene.plot.along(label))
     axes.margins(x=0)

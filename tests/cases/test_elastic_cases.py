@@ -24,10 +24,11 @@ from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.elasticity.case import ElasticCase
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.show.differences import ElasticDifferences
-from signorini_fenicsx.physics.elasticity.show.shown import in_space, von_mises
+from signorini_fenicsx.physics.elasticity.show.shown import in_space
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.pictures.gather import PARTLY_FIXED
 from signorini_fenicsx.pictures.scene import gathered_scene
+from signorini_fenicsx.solving.fields import von_mises
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

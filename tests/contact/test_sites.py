@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.contact.sites import SiteKind, Sites
 
-NORMAL = Kind("normal", 3, np.arange(3), np.full(9, 0.5), (3,), np.arange(9), sign=-1.0)
-SLIP = Kind("slip", 3, np.array([2, 0]), np.ones(12), (3, 2), np.arange(9, 21))
+NORMAL = SiteKind("normal", 3, np.arange(3), np.full(9, 0.5), (3,), np.arange(9), sign=-1.0)
+SLIP = SiteKind("slip", 3, np.array([2, 0]), np.ones(12), (3, 2), np.arange(9, 21))
 
 
 def test_kinds_see_their_part_of_arrays():

@@ -186,10 +186,9 @@ def test_surface_in_space():
         assert 0.5 < wet[..., 2].max() < 1
         head, streams, pressure, _ = found.files["water"][1]
         np.testing.assert_allclose(pressure.what, head.what - found.fields.points[:, 2])
-        _, seeds = Space(found).streamlines
-        heads = arrow_heads(seeds, streams.sign, 0.1)
-        assert heads.n_cells > 50 * 16
-        assert streams.sign * seeds["sigma"][:, 0].mean() > 0.1  # from left to right, the head falls
+        _, seeds = Space(found).streamlines(streams)
+        assert arrow_heads(seeds, 0.1).n_cells > 50 * 16
+        assert seeds["flow"][:, 0].mean() > 0.1  # from left to right, the head falls
 
 
 CASE = """

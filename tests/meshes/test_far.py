@@ -207,7 +207,8 @@ def test_pictures_of_far_domains(tmp_path: Path):
     assert near is not None
     offset = 2.0 ** np.array([19, 22, 10])
     far = replace(near, fields=replace(near.fields, points=near.fields.points + offset))
-    (lines, _), (same, _) = Space(near).streamlines, Space(far).streamlines
+    _, (_, streams) = near.files["sigma"]
+    (lines, _), (same, _) = Space(near).streamlines(streams), Space(far).streamlines(streams)
     assert length(same) == pytest.approx(length(lines), rel=1e-2)
     write_page(tmp_path / "far.html", far)
     page = (tmp_path / "far.html").read_text(encoding="utf-8")

@@ -27,7 +27,7 @@ from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output.curves import draw_bounds
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.show.pictures import SETS
-from signorini_fenicsx.physics.diffusion.show.pools import Pools
+from signorini_fenicsx.physics.diffusion.show.pools import Pools, u_at_points
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.show.pictures import _near, foundation_of
 from signorini_fenicsx.pictures import sample, style, traces
@@ -35,7 +35,7 @@ from signorini_fenicsx.pictures.curves import draw_steps, moves
 from signorini_fenicsx.pictures.cuts import SLANTED, Cut, outward
 from signorini_fenicsx.pictures.drawing import draw_all, overview
 from signorini_fenicsx.pictures.evolution import draw_over_time
-from signorini_fenicsx.pictures.gather import DrawnBoundary, Fields
+from signorini_fenicsx.pictures.gather import DrawnBoundary, DrawnFields
 from signorini_fenicsx.pictures.geometry import thinned
 from signorini_fenicsx.pictures.page import plain
 from signorini_fenicsx.pictures.panels import DrawnSteps, Panel
@@ -157,7 +157,7 @@ def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_segments_keep_their_colours():
     """Also in a step in which others have no facets."""
     whole = scene("friction", h=1 / 4)
-    others = whole.segments.index("slip+") != whole.sites.segment
+    others = whole.surface.segments.index("slip+") != whole.sites.segment
     some = whole.with_surface(table=replace(whole.sites, segment=np.where(others, whole.sites.segment, 1)))
     colours, later = ({group.name: group.colour for group in each.groups} for each in (whole, some))
     assert len(set(colours.values())) == 3
@@ -171,8 +171,8 @@ def test_dam_has_its_water():
     water = Pools.of(dam)
     assert water is not None
     assert [pool[:, 1].max() for pool in water.pools] == pytest.approx([2, 8])
-    interfaces = dam.fields.points[dam.interfaces()]
-    assert np.linalg.norm(interfaces[:, 1] - interfaces[:, 0], axis=1).sum() == pytest.approx(2 * np.hypot(1, 10))
+    (borders,) = (each.points for each in dam.over if each.label == "regions")
+    assert sum(np.linalg.norm(np.diff(x, axis=0), axis=1).sum() for x in borders) == pytest.approx(2 * np.hypot(1, 10))
     assert Pools.of(scene("example1", h=0.25)) is None
 
 
@@ -186,7 +186,7 @@ def test_field_of_the_plane():
     assert not np.isfinite(sigma[:, (radius < 0.45) | (radius > 1.01)]).any()
     assert np.isfinite(sigma[:, (radius > 0.52) & (radius < 0.95)]).all()
     outer = np.isclose(np.linalg.norm(ring.fields.points, axis=1), 1)
-    np.testing.assert_array_equal(ring.u[outer], 0)
+    np.testing.assert_array_equal(u_at_points(ring)[outer], 0)
     (line,), label = traces.pieces(ring, 0)
     assert label == "angle"
     assert line.ends[[0, -1]] == pytest.approx([-np.pi, np.pi], abs=0.2)
@@ -231,13 +231,13 @@ def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeyp
     assert _volume(few) == pytest.approx(_volume(whole), rel=0.05 if few.points.shape[1] == 2 else 0.25)
 
 
-def fields_of(solution: Solution) -> Fields | None:
+def fields_of(solution: Solution) -> DrawnFields | None:
     """Mesh and values on rank 0."""
     found = gathered_scene(solution)
     return None if found is None else found.fields
 
 
-def _volume(fields: Fields) -> float:
+def _volume(fields: DrawnFields) -> float:
     corners = fields.points[fields.cells]
     return float(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / math.factorial(corners.shape[2]))
 
@@ -430,7 +430,7 @@ def test_a_level_that_is_a_bound_is_drawn_where_contact_ends():
     assert on_levels(plateau, [-1.0, 0.0]).tolist() == [-1, 0, 0, 1]
     plane = scene("two_obstacles", h="1/8")
     x = plane.fields.points[:, 0]
-    settled = on_levels(plane.u, [-0.1, 0.1])
+    settled = on_levels(u_at_points(plane), [-0.1, 0.1])
     assert (settled[x < 0.2] == -0.1).all()
     assert (settled[x > 0.8] == 0.1).all()
     assert np.allclose(levels_between(-0.1 - 1e-9, 0.1), np.arange(-0.08, 0.09, 0.02))

@@ -121,11 +121,11 @@ def test_segments_have_names():
     """Those that are given, else by their u; many have as many colours."""
     graph = {"kind": "graph", "parts": ["bottom"], "corners": [[-0.1, 0.3], [-0.1, 0.1], [0.1, 0.1], [0.2, -0.2]]}
     case = load_case("staircase").with_values({"solve.h": 0.5})
-    assert "jump at $u = -0.1$" in scene(case).segments
+    assert "jump at $u = -0.1$" in scene(case).surface.segments
     names = ["freezing", "ice", "mush", "water", "steam"]
     case = case.with_values({"law": [graph | {"beyond": "vertical", "names": names}]})
     found = scene(case)
-    assert list(found.segments) == names
+    assert list(found.surface.segments) == names
     assert [group.name for group in found.groups] == [name for name in names if name in {g.name for g in found.groups}]
     in_cells = found.colours_in_cells(["dry", "ice", "wet"])
     assert in_cells["ice"] == colours_of(names)["ice"]

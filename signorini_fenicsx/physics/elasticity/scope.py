@@ -23,5 +23,5 @@ def outside(problem: ElasticProblem) -> str:
 
 def _has_list(given: Any) -> bool:
     """Whether a modulus has three values somewhere."""
-    each = given.values() if isinstance(given, Mapping) else [given]
-    return any(isinstance(value, list | tuple) for value in each)
+    values = given.values() if isinstance(given, Mapping) else [given]
+    return any(isinstance(value, list | tuple) for value in values)

@@ -204,7 +204,7 @@ def _own(solution: ElasticSolution, collected: _Collected) -> Indices:
     dim, cells = solution.spaces.dim, len(solution.spaces.order)
     entries = pairs(dim)
     found = np.full((cells, len(entries) + 1), NONE)
-    for strain in solution.data.material.own:
+    for strain in solution.data.material.strains:
         if strain.datum.pieces is None or strain.beyond.pieces is None:
             collected.unread.append(strain.name)
             continue

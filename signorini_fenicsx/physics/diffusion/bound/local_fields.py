@@ -146,7 +146,7 @@ class Projection:
     def plus(self, other: Projection) -> Projection:
         """The sum of two loads, of any degrees; the norm of its remainder is at most that of both."""
         rest = (np.sqrt(self.rest) + np.sqrt(other.rest)) ** 2
-        short, long = sorted((self.coefficients, other.coefficients), key=lambda each: each.shape[1])
+        short, long = sorted((self.coefficients, other.coefficients), key=lambda values: values.shape[1])
         return Projection(long + np.pad(short, ((0, 0), (0, long.shape[1] - short.shape[1]))), rest)
 
     def of_degree(self, cell: basix.CellType, degree: int) -> Projection:

@@ -53,14 +53,14 @@ class NearPolynomial:
     quadrature, without a radius.
 
     Attributes:
-        own: Has v.
+        pair: Has v.
         p: The polynomials on the owned cells by their Bernstein coefficients, shape (cells, nodes).
         delta: δ, per owned cell.
         off: Bound of |r|.
         degree: Of the polynomials near r.
     """
 
-    own: Admissible
+    pair: Admissible
     p: Array
     delta: Array
     off: Array
@@ -78,11 +78,11 @@ class NearPolynomial:
     @property
     def order(self) -> int:
         """The degree of v."""
-        return degree_of(self.own.trace.v.function_space)
+        return degree_of(self.pair.trace.v.function_space)
 
     def at(self, cells: AnyIndices, x: Array) -> Array:
         """The polynomials and their gradients in points of owned cells, shape (n, points, 1 + d)."""
-        vertices = self.own.resolution.vertices[cells]
+        vertices = self.pair.resolution.vertices[cells]
         slopes = barycentric_gradients(vertices)
         arms = x - vertices.mean(axis=1, keepdims=True)
         return jet(self.p[cells], 1 / slopes.shape[1] + arms @ slopes.transpose(0, 2, 1), slopes)
@@ -93,14 +93,14 @@ class NearPolynomial:
             degree = quadrature_degree(datum) + power * self.order
             seen = self.seen(lambda at, jet: datum.values(at) * jet[:, :, 0] ** power, cells, degree)
             return np.array([seen.sum(), 0.0])
-        total, measure, found = np.zeros(2), self.own.solution.spaces.cell_measures, np.zeros((2, len(self.off)))
+        total, measure, found = np.zeros(2), self.pair.solution.spaces.cell_measures, np.zeros((2, len(self.off)))
         for tree, rows in datum.trees_in(cells):
             some = cells[rows]
-            of_tree = self._by_moments(tree, some) if power == 1 and self.own.resolution.returns else None
+            of_tree = self._by_moments(tree, some) if power == 1 and self.pair.resolution.returns else None
             if of_tree is None or not self._comm.allreduce(of_tree.total[1]) <= enough:
                 of_tree = self._enclosed(tree, some, lambda jet: jet[:, :, 0] ** power, power * self.order, enough)
             total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
-        near = np.intersect1d(cells, self.own.trace.cells)
+        near = np.intersect1d(cells, self.pair.trace.cells)
         if power == 2:
             off = self.off[near] * (2 * np.abs(self.p[near]).max(axis=1, initial=0.0) + self.off[near])
             total[1] += (off * np.sqrt(measure[near])) @ found[0, near]
@@ -118,14 +118,14 @@ class NearPolynomial:
 
     def of_gradient(self, hidden: Array) -> Array:
         """The integral of κ∇v·∇v; quadrature may miss `hidden` of its root, per owned cell (collective)."""
-        squares = self.own.energies.squares(None, self.own.trace)
+        squares = self.pair.energies.squares(None, self.pair.trace)
         rest = hidden * (2 * np.sqrt(squares.most) + hidden)
         middle, radius = (squares.small - squares.large) / 2, (squares.small + squares.large) / 2 + rest
         return np.array([(squares.seen + middle).sum(), radius.sum()])
 
     def on_facets(self, datum: Datum, facets: Entities, enough: float, *, jump: bool = False) -> Array:
         """The integral of a datum times v over boundary facets; inside the domain of its jump (collective)."""
-        spaces, trace, total = self.own.solution.spaces, self.own.trace, np.zeros(2)
+        spaces, trace, total = self.pair.solution.spaces, self.pair.trace, np.zeros(2)
         degree = min(max(self._degree(datum), quadrature_degree(datum) + self.order, degree_near(trace)), DEGREES[1])
         on, order = facet_quadrature(self._mesh, facets, degree), np.argsort(spaces.facets)
         sides, on_gamma_s = [on.cells], order[np.searchsorted(spaces.facets[order], facets)] if jump else order[:0]
@@ -170,7 +170,7 @@ class NearPolynomial:
 
     @property
     def _mesh(self) -> dolfinx.mesh.Mesh:
-        return self.own.solution.spaces.mesh
+        return self.pair.solution.spaces.mesh
 
     def seen(self, density: Callable[[CellPoints, Array], Array], cells: AnyIndices, degree: int) -> Array:
         """Integrals by quadrature over some owned cells, 0 over others (collective).
@@ -180,7 +180,7 @@ class NearPolynomial:
             cells: The cells, ascending.
             degree: Of the quadrature, where v is quadratic.
         """
-        trace, integrals = self.own.trace, np.zeros(len(self.off))
+        trace, integrals = self.pair.trace, np.zeros(len(self.off))
         near = np.isin(cells, trace.cells)
         for close, some in ((True, cells[near]), (False, cells[~near])):
             of_all = min(max(degree, degree_near(trace) if close else 0), DEGREES[1])
@@ -191,8 +191,8 @@ class NearPolynomial:
 
     def _by_moments(self, tree: Tree, cells: AnyIndices) -> Products:
         """The integrals of a tree times p by those with each polynomial of Bernstein, which steps keep (collective)."""
-        spaces, number = self.own.solution.spaces, self.p.shape[1]
-        in_middle = values(tree, self.own.resolution.vertices[cells].mean(axis=1))
+        spaces, number = self.pair.solution.spaces, self.p.shape[1]
+        in_middle = values(tree, self.pair.resolution.vertices[cells].mean(axis=1))
         size = self._comm.allreduce(float(np.abs(in_middle) @ spaces.cell_measures[cells]))
 
         def of_each(i: int) -> Products:
@@ -213,11 +213,11 @@ class NearPolynomial:
         """The integrals of a tree times what is made of p (collective)."""
         return products(
             tree,
-            self.own.resolution.vertices[cells],
-            self.own.solution.spaces.cell_measures[cells],
+            self.pair.resolution.vertices[cells],
+            self.pair.solution.spaces.cell_measures[cells],
             lambda rows, x: of_jet(self.at(cells[rows], x)),
             degree,
-            self.own.solution.spaces.frame,
+            self.pair.solution.spaces.frame,
             enough,
         )
 

@@ -205,7 +205,7 @@ class _Following:
         jump, tied, kept = (np.zeros(len(wall), dtype=bool) for _ in range(3))
         none = np.empty(0, dtype=np.int64)
         entries = [(none, none, np.empty(0))], [(none, none, np.empty(0))]
-        pairs = sorted(opposites(space, spaces), key=lambda each: not each[0].pair.tied)
+        pairs = sorted(opposites(space, spaces), key=lambda of: not of[0].pair.tied)
         for _, pair in pairs:
             others = others | _somewhere(space, pair.masters.nodes.ravel())
         for joint, pair in pairs:

@@ -17,7 +17,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_of, sums_at
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.contact.sites import SiteKind, Sites
 from signorini_fenicsx.discrete.bernstein import exponents, interpolation
 from signorini_fenicsx.discrete.bernstein import nodes as bernstein_nodes
 from signorini_fenicsx.discrete.cell_shapes import corners, squared_arms
@@ -298,8 +298,8 @@ class LinearSpaces(LinearTraces, Spaces):
         share, in_cells = np.repeat(self.contact.measure / dim, dim), np.repeat(cells / (dim + 1), dim + 1)
         unknown = self.unknowns(self.contact).ravel()
         return Sites(
-            Kind("facet", number, np.arange(number), share, (dim,), unknown),
-            Kind("cell", len(cells), np.arange(len(cells)), in_cells, (dim + 1,), unknown[:0]),
+            SiteKind("facet", number, np.arange(number), share, (dim,), unknown),
+            SiteKind("cell", len(cells), np.arange(len(cells)), in_cells, (dim + 1,), unknown[:0]),
         )
 
     @property

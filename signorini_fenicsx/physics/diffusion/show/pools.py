@@ -11,7 +11,7 @@ from signorini_fenicsx.contact.laws import River
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET
 from signorini_fenicsx.physics.diffusion.show.heads import INTEGRAL, SAME, Water
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.gather import Fields
+from signorini_fenicsx.pictures.gather import DrawnFields
 from signorini_fenicsx.pictures.geometry import level_lines
 from signorini_fenicsx.pictures.panels import Overlay
 from signorini_fenicsx.pictures.scene import Scene
@@ -139,13 +139,13 @@ WATER_LINES = 14
 """Streamlines of the water in Baiocchi's dam; between two neighbours the discharge is the same."""
 
 
-def wet(fields: Fields) -> Mask:
+def wet(fields: DrawnFields) -> Mask:
     """The cells of Baiocchi's dam below the phreatic line."""
     dry = fields.in_cells["contact"]
     return np.ones(len(dry), dtype=bool) if dry.all() else ~dry
 
 
-def water_lines(fields: Fields) -> tuple[list[Array], Array]:
+def water_lines(fields: DrawnFields) -> tuple[list[Array], Array]:
     """Streamlines of the water in Baiocchi's dam, and arrow heads, as `streamlines` has them.
 
     With the pressure −∂w/∂y and Δw = 1 the velocity is (∂²w/∂x∂y, −∂²w/∂x²). So its stream function is ∂w/∂x, whose

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Inexact, PlainBackend
 from signorini_fenicsx.contact.chains import Chains, SiteConditions
-from signorini_fenicsx.contact.sites import Kind
+from signorini_fenicsx.contact.sites import SiteKind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.posed import State
@@ -138,7 +138,7 @@ class LinearBackend(VertexBackend, FluxBackend):
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=loaded)
 
     @property
-    def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
+    def with_laws(self) -> list[tuple[SiteKind, VertexLaws]]:
         """The kinds of sites that have `VertexLaws`, with these."""
         return [*super().with_laws, (self._cells, self.data.cells_at)]
 

@@ -288,6 +288,6 @@ def not_in_the_spaces(resolution: Resolution, *, material: bool = True, also: Se
     names += sorted({name for name, *_ in data.friction.texts if name not in also})
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     if not (material and is_own_enclosed(data.material)):
-        names += [each.name for each in data.material.own if unresolved_by_quadrature(each)]
+        names += [each.name for each in data.material.strains if unresolved_by_quadrature(each)]
     is_known = data.material.uniform or (material and is_enclosed(data.material))
     return tuple(names) if is_known else (*names, " and ".join(data.material.words))

@@ -85,7 +85,7 @@ class Condensed:
         around: The nodes that are left of each cell, shape (cells, outer).
         inside: Those inside it, as nodes of the space, shape (cells, inner).
         share: The coefficients inside for each of those around, negative, shape (cells, d inner, d outer).
-        own: Those inside where the others are 0, shape (cells, d inner).
+        particular: Those inside where the others are 0, shape (cells, d inner).
         flows: ∫ v·n over the boundary of each cell for unit coefficients around it, shape (cells, d outer).
         stiffness: Of the cells against these flows; 0 where they may be compressed.
         grown: What these flows have to be.
@@ -99,7 +99,7 @@ class Condensed:
     around: npt.NDArray[np.int32]
     inside: Indices
     share: Array
-    own: Array
+    particular: Array
     flows: Array
     stiffness: Array
     grown: Array
@@ -145,7 +145,7 @@ class Condensed:
     def coefficients(self, x: Array) -> Array:
         """The coefficients at the nodes inside, shape (cells, inner, d), from those of the others, ghosts too."""
         around = x.reshape(-1, self.nodes.dim)[self.around].reshape(self.share.shape[::2])
-        inner = self.own - np.einsum("nio,no->ni", self.share, around)
+        inner = self.particular - np.einsum("nio,no->ni", self.share, around)
         return inner.reshape(*self.inside.shape, self.nodes.dim)
 
 
@@ -203,7 +203,7 @@ def condensed(
 
 
 def _eliminated(stiffness: Array, first: int, pull: Array) -> tuple[Array, ...]:
-    """`share`, `own`, the stiffness that is left and the load, without the unknowns from the first of those inside."""
+    """`share`, `particular`, the stiffness that is left and the load, without unknowns from the first one inside."""
     coupling = stiffness[:, :first, first:]
     right = np.concatenate([stiffness[:, first:, :first], pull], axis=2)
     both = np.linalg.solve(stiffness[:, first:, first:], right)

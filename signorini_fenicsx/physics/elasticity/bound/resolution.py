@@ -56,14 +56,14 @@ OWN = 4
 def is_enclosed(material: Material) -> bool:
     """Whether a material is isotropic, with texts or numbers for E and ν, or μ, and without strain of its own."""
     one = len(material.young) == 1 and (material.incompressible or len(material.poisson) == 1)
-    if not one or material.shear or material.axes or (material.own and not material.incompressible):
+    if not one or material.shear or material.axes or (material.strains and not material.incompressible):
         return False
     return all(datum.pieces is not None for datum in (*material.young, *material.poisson))
 
 
 def is_own_enclosed(material: Material) -> bool:
     """Whether a material has numbers for its elastic constants, and texts or numbers for what it has of its own."""
-    are_texts = [datum.pieces is not None for strain in material.own for datum in (strain.datum, strain.beyond)]
+    are_texts = [datum.pieces is not None for strain in material.strains for datum in (strain.datum, strain.beyond)]
     return material.uniform and all(are_texts)
 
 
@@ -205,10 +205,10 @@ class Resolution:
         Where it is large beside the largest value it is 0, and recorded that these are not resolved.
         """
         spaces, material = self.spaces, self.data.material
-        if not is_own_enclosed(material) or not any(map(unresolved_by_quadrature, material.own)):
+        if not is_own_enclosed(material) or not any(map(unresolved_by_quadrature, material.strains)):
             return None
         size, squares = spaces.dim + 1, np.zeros(len(spaces.order) * (spaces.dim + 1))
-        for strain in material.own:
+        for strain in material.strains:
             rho, largest = _of_strain(spaces, strain)
             largest = spaces.mesh.comm.allreduce(float(largest.max(initial=0.0)), MPI.MAX)
             coarse = ~(rho <= RESOLVED * largest)

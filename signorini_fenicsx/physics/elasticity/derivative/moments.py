@@ -53,8 +53,8 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
         if isinstance(datum, PressureDatum):
             loads = [(datum.pressure, -np.einsum("narj,nr->nja", by_component[rows], facets.normals[rows]))]
         else:
-            each = enumerate(datum.components)
-            loads = [(component, by_component[rows, :, r].transpose(0, 2, 1)) for r, component in each]
+            components = enumerate(datum.components)
+            loads = [(component, by_component[rows, :, r].transpose(0, 2, 1)) for r, component in components]
         for r, (component, matrices) in enumerate(loads):
             key = f"g_N.{name}.{r}"
             yield from _of_datum(spaces, key, "load", component, facets.take(rows), places[rows], matrices)

@@ -69,7 +69,7 @@ class ContactCoefficients(FacetCoefficients):
         touched: Which of them have another side, ascending.
         across: The nodes of these, shape (touched, coefficients).
         corners: Of each of them on its whole facet, by barycentric coordinates, shape (facets, d, d).
-        own: Its coefficients from those of `nodes`, those of the whole facet, shape (facets, coefficients,
+        extraction: Its coefficients from those of `nodes`, those of the whole facet, shape (facets, coefficients,
             coefficients).
         other: Those of the other side from those of `across`, likewise for `touched`.
         opened: The coefficients of what the gap of a pair is more than the data have, 0 on other facets.
@@ -78,13 +78,13 @@ class ContactCoefficients(FacetCoefficients):
     touched: Indices
     across: npt.NDArray[np.int32]
     corners: Array
-    own: Array
+    extraction: Array
     other: Array
     opened: Array
 
     def jump(self, values: Array) -> Array:
         """Coefficients on the facets, less those of the other side where there is one: (facets, coefficients, …)."""
-        jumps = np.einsum("fkl,fl...->fk...", self.own, values[self.nodes])
+        jumps = np.einsum("fkl,fl...->fk...", self.extraction, values[self.nodes])
         jumps[self.touched] -= np.einsum("fkl,fl...->fk...", self.other, values[self.across])
         return jumps
 
@@ -94,7 +94,7 @@ class ContactCoefficients(FacetCoefficients):
 
     def add_forces(self, sums: la.Vector, forces: Array) -> None:
         """Add forces on the coefficients of the jump, shape (facets, coefficients, d), to those of nodes."""
-        add_at(sums, self.nodes, np.einsum("fkl,fki->fli", self.own, forces))
+        add_at(sums, self.nodes, np.einsum("fkl,fki->fli", self.extraction, forces))
         add_at(sums, self.across, -np.einsum("fkl,fki->fli", self.other, forces[self.touched]))
 
     def openings(self, mesh: dolfinx.mesh.Mesh, data: ElasticData) -> Array:
@@ -106,7 +106,7 @@ class ContactCoefficients(FacetCoefficients):
                 self.facets.take(rows), self.rows[rows], self.cells[rows], self.nodes[rows], self.degree
             )
             openings[rows] -= part.of(mesh, law)
-        return np.asarray(np.einsum("fkl,fl->fk", self.own, openings) + self.opened)
+        return np.asarray(np.einsum("fkl,fl->fk", self.extraction, openings) + self.opened)
 
     def pairs(self, rows: Indices, places: Indices) -> tuple[Indices, Array]:
         """The nodes whose values make the jump at some places of facets, and their weights, shape (places, nodes) each.
@@ -133,7 +133,7 @@ class ContactCoefficients(FacetCoefficients):
 
         The shapes are (facets, 2 coefficients) and (facets, coefficients, 2 coefficients).
         """
-        weights = np.concatenate([self.own[rows], np.zeros_like(self.own[rows])], axis=2)
+        weights = np.concatenate([self.extraction[rows], np.zeros_like(self.extraction[rows])], axis=2)
         nodes = np.concatenate([self.nodes[rows], self.nodes[rows]], axis=1).astype(np.int64)
         some, number = np.isin(rows, self.touched), self.nodes.shape[1]
         places = np.searchsorted(self.touched, rows[some])
@@ -153,7 +153,7 @@ def contact_coefficients(spaces: ElasticSpaces, split: SplitMesh, space: fem.Fun
         touched=touched[order],
         across=other.nodes[order],
         corners=np.broadcast_to(np.eye(dim), (len(named.rows), dim, dim)),
-        own=whole,
+        extraction=whole,
         other=whole[: len(order)],
         opened=np.zeros((len(named.rows), number)),
     )
@@ -189,7 +189,7 @@ def in_pieces(
             touched=np.append(np.searchsorted(plain, contact.touched), first + np.arange(len(pieces))),
             across=np.concatenate([contact.across, masters.nodes[across]]),
             corners=corners,
-            own=np.concatenate([contact.own[plain], on_pieces[0]]),
+            extraction=np.concatenate([contact.extraction[plain], on_pieces[0]]),
             other=np.concatenate([contact.other, on_pieces[1]]),
             opened=np.concatenate([contact.opened[plain], opened @ contact.hats.T]),
         )
@@ -290,7 +290,7 @@ def given_along_normals(contact: ContactCoefficients, at: GivenNodes) -> tuple[A
     """What is given of v_n, or of its jump, at the coefficients on Γ_C, −∞ where some of it is not; the jump of v."""
     normals, jump = contact.facets.normals, contact.jump(np.einsum("nij,nj->ni", at.frames, at.values))
     left = np.einsum("nij,nj,nkj->nik", at.frames, ~at.given, at.frames)  # onto what is not given at a node
-    sums = np.einsum("fkl,flij->fkij", contact.own, left[contact.nodes])
+    sums = np.einsum("fkl,flij->fkij", contact.extraction, left[contact.nodes])
     sums[contact.touched] += np.einsum("fkl,flij->fkij", contact.other, left[contact.across])
     free = np.einsum("nkij,ni,nj->nk", sums, normals, normals)
     return np.where(free <= ALONG, np.einsum("nki,ni->nk", jump, normals), -np.inf), jump

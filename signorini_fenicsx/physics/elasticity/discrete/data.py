@@ -204,7 +204,7 @@ class ElasticData:
 
     def growth(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> Array:
         """∫ tr ε₀ over cells (collective)."""
-        if not self.material.own:
+        if not self.material.strains:
             return np.zeros(len(cells))
         strains = self.strains(spaces, cells, Cells(spaces.vertices[cells]).measure)
         return np.asarray(strains[..., : spaces.dim].sum(axis=(1, 2, 3)))
@@ -380,7 +380,7 @@ def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh
         compliance=on_split(compliance, number, number, constant=constant),
         stiffness=on_split(stiffness, number, number, constant=constant),
         eigenstrain=on_split(material.strain, number, constant=constant and material.degree == 0)
-        if material.own
+        if material.strains
         else ufl.zero(number),
         degree=rule.degree,
         incompressible=material.incompressible,

@@ -88,7 +88,7 @@ class Material:
         poisson: ν, or ν₁₂, ν₁₃, ν₂₃: under a stress along the first axis alone ε₂ = −ν₁₂ε₁.
         shear: G₁₂, G₁₃, G₂₃, with 0 for E₁/(2 + 2ν₁₂); none where the material is isotropic.
         axes: The components of the directions 1 and, in space, 2; none for those of the coordinates.
-        own: ε₀ and −σ₀, where they are given.
+        strains: ε₀ and −σ₀, where they are given.
     """
 
     dim: int
@@ -97,7 +97,7 @@ class Material:
     poisson: tuple[Datum, ...]
     shear: tuple[Datum, ...]
     axes: tuple[tuple[Datum, ...], ...]
-    own: tuple[Strain, ...]
+    strains: tuple[Strain, ...]
 
     incompressible = False
     words: ClassVar[tuple[str, ...]] = ("young", "poisson")
@@ -120,7 +120,7 @@ class Material:
     @property
     def degree(self) -> int | None:
         """The degree of the polynomial that ε₀ and σ₀ are known to be, or None."""
-        return largest_degree(strain.datum for strain in self.own) if self.own else 0
+        return largest_degree(strain.datum for strain in self.strains) if self.strains else 0
 
     def compliance(self, points: CellPoints) -> Array:
         """𝔸 in points, shape (cells, points, entries, entries) (collective)."""
@@ -136,7 +136,7 @@ class Material:
 
     def strain(self, points: CellPoints) -> Array:
         """ε₀ in points, shape (cells, points, entries) (collective)."""
-        if not self.own:
+        if not self.strains:
             return np.zeros((*points.shape, len(self._kept)))
         in_space, eps0 = self._in_space(points), self._own(points)
         if self.in_strain:
@@ -179,7 +179,7 @@ class Material:
 
     def _own_looked_at(self, points: CellPoints) -> Iterator[tuple[str, Array]]:
         """What of ε₀ and σ₀ has to be checked in points (collective)."""
-        for strain in self.own:
+        for strain in self.strains:
             yield strain.name, strain.values(points)
             values = strain.datum.values(points)
             yield f"{strain.name}, skew", values - values.swapaxes(-1, -2) if strain.datum.shape else 0 * points.x
@@ -192,7 +192,7 @@ class Material:
     def _own(self, points: CellPoints) -> Array:
         """ε₀ in space."""
         entries: Array = np.zeros((*points.shape, len(SPACE)))
-        for strain in self.own:
+        for strain in self.strains:
             values = strain.values(points)
             if strain.name == "initial_stress":
                 values = -np.einsum("nqij,nqj->nqi", self._in_space(points), values)
@@ -321,7 +321,7 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
             tuple(read_datum(spaces, "axes", _entry("axes", each, i, dim, "components")) for i in range(dim))
             for each in directions
         ),
-        own=strains_of(spaces, problem),
+        strains=strains_of(spaces, problem),
     )
     if material.axes and not material.shear and len(young) == len(material.poisson) == 1:
         raise InputError("[problem] axes: do nothing for an isotropic material; give young along each of them")
@@ -401,7 +401,7 @@ def check_material(spaces: MeshSpaces, material: Material, blocks: Iterable[Cell
             _check_ends(key, *ends[key])
     first = next(iter(ends))
     check_means(first, "in the domain", np.array(ends[first]), spaces)
-    for strain in material.own:
+    for strain in material.strains:
         check_means(strain.name, "in the domain", np.array(ends[strain.name]), spaces)
         skew, size = (np.abs(ends[name]).max() for name in (f"{strain.name}, skew", strain.name))
         if skew > ROUNDING * size:

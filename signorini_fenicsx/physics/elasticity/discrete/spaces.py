@@ -17,7 +17,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, original_cells
-from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.contact.sites import SiteKind, Sites
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces, opposite
 from signorini_fenicsx.discrete.mesh_spaces import build_mesh_spaces
 from signorini_fenicsx.discrete.pairing import Joint, joints
@@ -249,8 +249,8 @@ class ElasticSpaces(LinearTraces):
         share, rough = np.repeat(self.contact.measure / dim, dim), np.repeat(self.rough.measure / dim, dim * (dim - 1))
         pressing = dim * rows[:, None] + np.arange(dim)
         return Sites(
-            Kind("normal", number, np.arange(number), share, (dim,), normal.ravel(), sign=-1.0),
-            Kind("slip", number, rows, rough, (dim, dim - 1), np.stack(slip, axis=2).ravel(), pressing=pressing),
+            SiteKind("normal", number, np.arange(number), share, (dim,), normal.ravel(), sign=-1.0),
+            SiteKind("slip", number, rows, rough, (dim, dim - 1), np.stack(slip, axis=2).ravel(), pressing=pressing),
         )
 
     @property

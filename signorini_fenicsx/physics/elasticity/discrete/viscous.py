@@ -29,8 +29,8 @@ class Viscous(Material):
         Raises:
             InputError: If it cannot be read, or a region has no value.
         """
-        young, own = (read_datum(spaces, "viscosity", problem.viscosity),), strains_of(spaces, problem)
-        return cls(spaces.mesh.geometry.dim, PlaneState.STRAIN, young, poisson=(), shear=(), axes=(), own=own)
+        young, strains = (read_datum(spaces, "viscosity", problem.viscosity),), strains_of(spaces, problem)
+        return cls(spaces.mesh.geometry.dim, PlaneState.STRAIN, young, poisson=(), shear=(), axes=(), strains=strains)
 
     def compliance(self, points: CellPoints) -> Array:
         """𝔸 in points, shape (cells, points, entries, entries) (collective)."""

@@ -17,7 +17,7 @@ from signorini_fenicsx.base.tolerances import KKT, LINEAR, STEP
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
-from signorini_fenicsx.contact.sites import Kind
+from signorini_fenicsx.contact.sites import SiteKind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
@@ -102,7 +102,7 @@ class ElasticBackend(TraceBackend):
         return not self.friction.in_space
 
     @property
-    def on_facets(self) -> list[tuple[Kind, VertexLaws]]:
+    def on_facets(self) -> list[tuple[SiteKind, VertexLaws]]:
         """The kinds of sites that have `VertexLaws`: that of friction where joints have springs."""
         return super().on_facets + ([(self._slip, self.friction.laws)] if self.friction.by_springs else [])
 

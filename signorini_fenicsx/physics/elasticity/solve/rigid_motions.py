@@ -287,8 +287,8 @@ class RigidBodies:
         spaces, rows = self.spaces, self.spaces.inner.rows
         along = np.einsum("nai,nair->nar", directions, self._moved(spaces.contact.vertices))
         of_each = np.zeros((*along.shape[:2], self.number, along.shape[2]))
-        each = np.arange(len(along))
-        of_each[each, :, self.of_cell[spaces.contact.cells]] = along
+        facets = np.arange(len(along))
+        of_each[facets, :, self.of_cell[spaces.contact.cells]] = along
         of_each[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
         for joint in spaces.joints:
             if not joint.pair.tied:

@@ -95,7 +95,7 @@ class ElasticSystem(HybridSystem):
         """The compliances of cells with these |T|, their moments of f and those of strains, if any (collective)."""
         spaces, data, (of_matrix, of_loads) = self.spaces, self._data, self._digests
         compliances, of_f = data.compliances(spaces, numbers), data.moments_of_f(spaces, numbers, measure)
-        strains = data.strains(spaces, numbers, measure) if data.material.own else None
+        strains = data.strains(spaces, numbers, measure) if data.material.strains else None
         of_matrix.update(compliances.tobytes())
         for loads in (of_f, of_f[:0] if strains is None else strains):
             of_loads.update(loads.tobytes())
