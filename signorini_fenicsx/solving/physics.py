@@ -3,15 +3,21 @@
 They are looked up by name where an import would point upwards.
 """
 
-from collections.abc import Callable
+import importlib
 from typing import Any
 
 DIFFUSION = "diffusion"
 """The physics of files that name none."""
 
 
+def at(place: str) -> Any:
+    """What is at a place, "module:name"; imports the module."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
 class Physics:
-    """A physics; its attributes are found, by `late`, when they are first used, so that little is imported.
+    """A physics, given by the places of its attributes, "module:name", which are imported when they are first used.
 
     Attributes:
         problem: The class of its problems, which are `PosedProblem`.
@@ -36,20 +42,20 @@ class Physics:
     proofs: Any
     refining: Any
 
+    def __init__(self, **places: str):
+        """Keep the places; an attribute without one is None."""
+        self._places = places
+
     def __getattr__(self, what: str) -> Any:
         if what not in Physics.__annotations__:
             raise AttributeError(what)
-        found = self.late(what)
+        found = at(self._places[what]) if what in self._places else None
         setattr(self, what, found)
         return found
-
-    def late(self, _what: str) -> Any:
-        """Import an attribute; None if there is none."""
-        return None
 
 
 PHYSICS: dict[str, Physics] = {}
 """All physics by their names."""
 
-OUTPUT: dict[str, Callable[..., Any]] = {}
+OUTPUT: dict[str, str] = {}
 """What writes a solution and draws it, by the names of the methods of `Solution` that ask for it."""
