@@ -4,6 +4,7 @@ import inspect
 import math
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,10 +13,10 @@ import typer
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 
-METHOD = "Method"
-BOUND = "Bound of the error"
-RESULTS = "Results"
-"""Groups of options in the help of commands."""
+_method, _bound, _results = (
+    partial(typer.Option, rich_help_panel=panel) for panel in ("Method", "Bound of the error", "Results")
+)
+"""Options of the groups in the help of commands."""
 
 
 def _names_of_algorithms() -> list[str]:
@@ -24,39 +25,17 @@ def _names_of_algorithms() -> list[str]:
     return list(METHODS)
 
 
-CaseName = Annotated[
-    str,
-    typer.Argument(
-        help="Name of a shipped case (example1 … example6) or path of a .toml file.", autocompletion=case_names
-    ),
-]
-AlgorithmName = Annotated[
-    str | None,
-    typer.Option(
-        "--algorithm",
-        help="An algorithm of the list of `signorini methods`.",
-        autocompletion=_names_of_algorithms,
-        rich_help_panel=METHOD,
-    ),
-]
+OF_NAME = "Name of a shipped case (example1 … example6) or path of a .toml file."
+CaseName = Annotated[str, typer.Argument(help=OF_NAME, autocompletion=case_names)]
+LISTED = "An algorithm of the list of `signorini methods`."
+AlgorithmName = Annotated[str | None, _method("--algorithm", help=LISTED, autocompletion=_names_of_algorithms)]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
-Rho = Annotated[
-    str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.", rich_help_panel=METHOD)
-]
-Epsilon = Annotated[
-    str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.", rich_help_panel=METHOD)
-]
-BackendName = Annotated[
-    str | None, typer.Option("--backend", help="hybrid or mixed; only for alg1 to alg4.", rich_help_panel=METHOD)
-]
-ElementName = Annotated[
-    str | None,
-    typer.Option("--element", help="RT0, or RT1 of one order more; alg1 to alg4 and vi.", rich_help_panel=METHOD),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
-]
+Rho = Annotated[str | None, _method("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.")]
+Epsilon = Annotated[str | None, _method("--eps", help="ε of the penalty and stabilised methods.")]
+BackendName = Annotated[str | None, _method("--backend", help="hybrid or mixed; only for alg1 to alg4.")]
+ElementName = Annotated[str | None, _method("--element", help="RT0, or RT1 of one order more; alg1 to alg4 and vi.")]
+OTHERS = "Any other key of the case, e.g. geometry.mesh=structured."
+Settings = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=OTHERS)]
 OF_CASE = {
     "algorithm": AlgorithmName,
     "h": MeshSize,
@@ -67,51 +46,20 @@ OF_CASE = {
     "settings": Settings,
 }
 """Options of commands that take a case, which give it new values; they are None if they are not given."""
-ForSignorini = Annotated[
-    bool,
-    typer.Option(
-        "--for-signorini",
-        help="Bound the distance of a penalty solution to the Signorini solution.",
-        rich_help_panel=BOUND,
-    ),
-]
-Predict = Annotated[
-    bool, typer.Option(help="Start large problems from the sets of a coarser mesh.", rich_help_panel=METHOD)
-]
-StartFrom = Annotated[
-    Path | None,
-    typer.Option(
-        "--start-from",
-        help="Results folder whose contact set is the first one; in time u_0, too.",
-        rich_help_panel=METHOD,
-    ),
-]
-Rigorous = Annotated[
-    bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.", rich_help_panel=BOUND)
-]
-Restart = Annotated[
-    bool,
-    typer.Option("--restart", help="Go on with a case in time after its last complete step.", rich_help_panel=RESULTS),
-]
-CertifySteps = Annotated[
-    bool, typer.Option("--certify-steps", help="Bound the error of each step of a case in time.", rich_help_panel=BOUND)
-]
-Verbose = Annotated[
-    bool,
-    typer.Option(
-        "--verbose", "-v", help="Print all iterations, and how long each phase takes.", rich_help_panel=RESULTS
-    ),
-]
-Plot = Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).", rich_help_panel=RESULTS)]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.", rich_help_panel=RESULTS)]
-Json = Annotated[bool, typer.Option("--json", help="Print only one JSON object, the summary.", rich_help_panel=RESULTS)]
-Html = Annotated[
-    bool,
-    typer.Option("--html", help="Also write solution.html, pictures that the mouse can turn.", rich_help_panel=RESULTS),
-]
-OutputFolder = Annotated[
-    Path | None, typer.Option("--output", help="Folder for the results.", show_default=False, rich_help_panel=RESULTS)
-]
+OF_PENALTY = "Bound the distance of a penalty solution to the Signorini solution."
+ForSignorini = Annotated[bool, _bound("--for-signorini", help=OF_PENALTY)]
+Predict = Annotated[bool, _method(help="Start large problems from the sets of a coarser mesh.")]
+EARLIER = "Results folder whose contact set is the first one; in time u_0, too."
+StartFrom = Annotated[Path | None, _method("--start-from", help=EARLIER)]
+Rigorous = Annotated[bool, _bound("--rigorous", help="Also prove the error bound, rounding included.")]
+Restart = Annotated[bool, _results("--restart", help="Go on with a case in time after its last complete step.")]
+CertifySteps = Annotated[bool, _bound("--certify-steps", help="Bound the error of each step of a case in time.")]
+Verbose = Annotated[bool, _results("--verbose", "-v", help="Print all iterations, and how long each phase takes.")]
+Plot = Annotated[bool, _results("--plot", help="Also draw pictures (PNG).")]
+Quiet = Annotated[bool, _results("--quiet", "-q", help="Print only errors.")]
+Json = Annotated[bool, _results("--json", help="Print only one JSON object, the summary.")]
+Html = Annotated[bool, _results("--html", help="Also write solution.html, pictures that the mouse can turn.")]
+OutputFolder = Annotated[Path | None, _results("--output", help="Folder for the results.", show_default=False)]
 
 
 def of_case[C: Callable[..., None]](command: C) -> C:
