@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, inverses
 from signorini_fenicsx.base.reference_cells import SIMPLEX, orthonormal
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.evaluation import Intervals, values
@@ -68,9 +68,13 @@ class Quadratic:
 
     def at(self, arms: Array) -> Array:
         """Values, and gradients as the last columns, in points x with x − x_T given, shape (n, points, 1 + d)."""
-        bend = np.einsum("nij,nqj->nqi", self.hessian, arms)
-        value = self.value[:, None] + ((self.gradient[:, None] + bend / 2) * arms).sum(axis=2)
-        return np.concatenate([value[:, :, None], self.gradient[:, None] + bend], axis=2)
+        at = np.empty((*arms.shape[:2], 1 + arms.shape[2]), order="F")
+        at[:, :, 0] = self.value[:, None]
+        for i, arm in enumerate(np.moveaxis(arms, 2, 0)):
+            bend = sum(self.hessian[:, i, j, None] * other for j, other in enumerate(np.moveaxis(arms, 2, 0)))
+            at[:, :, 1 + i] = self.gradient[:, i, None] + bend
+            at[:, :, 0] += (self.gradient[:, i, None] + bend / 2) * arm
+        return at
 
 
 def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadratic:
@@ -84,12 +88,12 @@ def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadr
     corners = vertices.shape[1]
     slopes = barycentric_gradients(vertices)
     # p = Σ a_v λ_v + 4 Σ_{v<w} b_vw λ_v λ_w, where b_vw is the value in the midpoint minus the mean of the ends
-    bend = np.zeros((len(vertices), corners, corners))
+    bend = np.zeros((len(vertices), corners, corners), order="F")
     for column, (v, w) in enumerate(edges(corners)):
         bend[:, v, w] = bend[:, w, v] = 4 * (at_midpoints[:, column] - (at_vertices[:, v] + at_vertices[:, w]) / 2)
     value = at_vertices.mean(axis=1) + bend.sum(axis=(1, 2)) / (2 * corners**2)
     gradient = np.einsum("nv,nvi->ni", at_vertices + bend.sum(axis=2) / corners, slopes)
-    return Quadratic(value, gradient, np.einsum("nvi,nvw,nwj->nij", slopes, bend, slopes))
+    return Quadratic(value, gradient, np.einsum("nvi,nvj->nij", slopes, np.einsum("nvw,nwj->nvj", bend, slopes)))
 
 
 def interpolated(tree: Tree, vertices: Array) -> Quadratic:
@@ -116,7 +120,7 @@ def bernstein(p: Quadratic, vertices: Array) -> Array:
     first, second = np.array(edges(corners)).T
     arms = vertices - vertices.mean(axis=1, keepdims=True)
     slope = np.einsum("nvi,ni->nv", arms, p.gradient)
-    bend = np.einsum("nvi,nij,nwj->nvw", arms, p.hessian, arms) / 2
+    bend = np.einsum("nvi,niw->nvw", arms, np.einsum("nij,nwj->niw", p.hessian, arms)) / 2
     of_vertices = p.value[:, None] + slope + np.einsum("nvv->nv", bend)
     of_edges = p.value[:, None] + (slope[:, first] + slope[:, second]) / 2 + bend[:, first, second]
     return np.concatenate([of_vertices, of_edges], axis=1)
@@ -129,7 +133,9 @@ def edges(corners: int) -> list[tuple[int, int]]:
 
 def barycentric_gradients(vertices: Array) -> Array:
     """Gradients of the barycentric coordinates along each simplex, shape (n, k + 1, d)."""
-    inverse = np.linalg.pinv((vertices[:, 1:] - vertices[:, :1]).transpose(0, 2, 1))
+    edges_from_first = (vertices[:, 1:] - vertices[:, :1]).transpose(0, 2, 1)
+    full = vertices.shape[1] == vertices.shape[2] + 1 > 2
+    inverse = inverses(edges_from_first) if full else np.linalg.pinv(edges_from_first)
     return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
 
 

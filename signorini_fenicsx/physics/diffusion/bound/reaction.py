@@ -383,6 +383,8 @@ def near_quadratics(
     `size` is that of u on each cell.
     """
     number, dim = len(metric.volume), metric.jacobian.shape[1]
+    if datum.number is not None:
+        return constant(np.full(number, datum.number), dim), np.zeros(number), Interval(*np.zeros((2, number)))
     vertices, p, (deviation, *mean) = resolution.vertices, constant(np.zeros(number), dim), np.zeros((3, number))
     tolerance = _fine(metric, resolution) / np.maximum(size, SMALLEST)
     for tree, cells in resolution.pieces(name, datum):
