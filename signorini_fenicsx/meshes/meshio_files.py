@@ -24,6 +24,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import rows_of
 from signorini_fenicsx.meshes.checks import faces
 from signorini_fenicsx.meshes.contents import DIMENSION, SECOND, Contents, check_widths
+from signorini_fenicsx.meshes.exodus import ENDINGS as EXODUS
+from signorini_fenicsx.meshes.exodus import read_exodus
 from signorini_fenicsx.meshes.other_cells import in_simplices, simplices_of
 
 XML = (".vtu", ".xdmf", ".xmf", ".xml")
@@ -39,7 +41,7 @@ def check_references(path: Path) -> None:
     suffix = path.suffix.lower()  # like meshio
     if suffix in XML:
         _check_head(path)
-    if suffix in HDF5:
+    if suffix in HDF5 or (suffix in EXODUS and h5py.is_hdf5(path)):
         _check_hdf5(path)
     if suffix in (".xdmf", ".xmf"):
         for file in {_beside(path, item) for item in ElementTree.parse(path).iter()} - {None}:
@@ -204,6 +206,10 @@ def _chosen(mesh: meshio.Mesh, labels: list[Indices], of: str) -> Iterator[tuple
         yield index, np.asarray(rows, dtype=np.int64)
 
 
+READ = {".inp": read_abaqus} | dict.fromkeys(EXODUS, read_exodus)
+"""What reads files by their ending, if it is not meshio alone: its mesh, and facets by the names of their parts."""
+
+
 def read_with_meshio(path: Path) -> Contents:
     """Read a file (rank 0); meshio raises many kinds of errors for broken files.
 
@@ -216,15 +222,12 @@ def read_with_meshio(path: Path) -> Contents:
             if path.suffix == ".xdmf" and (contents := _dolfinx_xdmf(path)) is not None:
                 return contents
             with contextlib.redirect_stderr(io.StringIO()) as said:
-                mesh, facets = read_abaqus(path) if path.suffix.lower() == ".inp" else (meshio.read(path), {})
+                mesh, facets = READ.get(path.suffix.lower(), lambda path: (meshio.read(path), {}))(path)
     except SystemExit:
         words = " ".join(said.getvalue().split()).removeprefix("Error: ")
         raise InputError(f"cannot be read: {words or 'its format is not known'}") from None
     except (InputError, MemoryError):
         raise
-    except ModuleNotFoundError as error:  # of Exodus, netCDF4
-        name = error.name
-        raise InputError(f"cannot be read: meshio needs {name} for it; `pip install {name}` adds it") from None
     except Exception as error:
         words = " ".join(str(error).split()).replace(str(path), path.name)
         raise InputError(f"cannot be read ({words[:200] or type(error).__name__})") from None

@@ -1,9 +1,7 @@
-"""Parts of Abaqus files by sets of nodes, surfaces and elements; straight elements of second order; Exodus."""
+"""Parts of Abaqus files by sets of nodes, surfaces and elements; straight elements of second order."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
-import meshio
 import numpy as np
 import pytest
 
@@ -112,18 +110,3 @@ def test_refusals(tmp_path: Path, text: str, message: str):
     """One sentence says what is wrong."""
     with pytest.raises(InputError, match=message):
         places(tmp_path, text)
-
-
-def test_exodus(tmp_path: Path):
-    """Its sets of nodes are parts; where netCDF4, which meshio needs for it, is missing, a sentence names it."""
-    path = tmp_path / "mesh.e"
-    if find_spec("netCDF4") is None:
-        path.write_bytes(b"CDF")
-        needed = r"cannot be read: meshio needs netCDF4 for it; `pip install netCDF4` adds it"
-        with pytest.raises(InputError, match=needed):
-            read_mesh_file(path)
-        return
-    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
-    sets = {"bottom": np.array([0, 1]), "corner": np.array([2])}
-    meshio.Mesh(points, [("triangle", np.array([[0, 1, 2], [0, 2, 3]]))], point_sets=sets).write(path)
-    assert {name: facets.tolist() for name, facets in read_mesh_file(path).parts.items()} == {"bottom": [[0, 1]]}
