@@ -148,6 +148,7 @@ def test_notebooks(tmp_path: Path):
         cells = json.loads(path.read_text("utf-8"))["cells"]
         codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
         assert codes == [text.strip("\n") for kind, text in BLOCK.findall(page) if kind == "code-cell"]
+        assert not any("../" in code for code in codes), "a notebook runs in any folder"
         assert all(not {".md)", "../static"} & set(re.findall(r"\.md\)|\.\./static", str(cell))) for cell in cells)
     nbformat = pytest.importorskip("nbformat")
     nbformat.validate(nbformat.read(tmp_path / "hertz.ipynb", 4))
