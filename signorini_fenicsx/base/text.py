@@ -58,9 +58,16 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def named(values: Mapping[str, float | None], form: str) -> str:
-    """Names and numbers in this form, in one line; "none" for the null of JSON."""
-    return "  ".join(f"{name} {'none' if value is None else format(value, form)}" for name, value in values.items())
+def named(values: Mapping[str, float | None], form: str, units: Mapping[str, str] | None = None) -> str:
+    """Names and numbers in this form, in one line; "none" for the null of JSON.
+
+    A unit is that of the names that begin with its own, up to a `_`.
+    """
+    known = units or {}
+    return "  ".join(
+        f"{name} {'none' if value is None else format(value, form)} {known.get(name.partition('_')[0], '')}".rstrip()
+        for name, value in values.items()
+    )
 
 
 def json_text(values: Mapping[str, Any]) -> str:

@@ -16,9 +16,10 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import named
+from signorini_fenicsx.cases.units import read_off, units_of
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.common import results_place
-from signorini_fenicsx.cli.solution_report import interval, mesh, read_off
+from signorini_fenicsx.cli.solution_report import interval, mesh
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import CaseFile
@@ -72,7 +73,7 @@ class EvolutionReport(CaseReport):
             "at most": named({name: each for name, each in about["largest"].items() if name not in TRUST}, ".3e"),
             **{name: f"at the end {words}" for name, words in last.lines(summary).items()},
         }
-        lines |= {name: f"at the end {words}" for name, words in read_off(summary).items()}
+        lines |= {name: f"at the end {words}" for name, words in read_off(summary, units_of(last)).items()}
         if "errors" in summary:
             lines["errors"] = f"at the end {named(summary['errors'], '.4e')}"
         if certified:

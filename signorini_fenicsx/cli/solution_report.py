@@ -13,11 +13,11 @@ from signorini_fenicsx.base.parallel import peak_memory
 from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.units import read_off, units_of
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import FieldBound
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.contact.history import OnStep, Step
-from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.quantities.bracket import PASSES
 from signorini_fenicsx.solving.solved import Solved
@@ -77,7 +77,7 @@ class SolutionReport(CaseReport):
             "mesh": mesh(result, summary),
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
             **result.lines(summary),
-            **read_off(summary),
+            **read_off(summary, units_of(result)),
             "norms": named(summary["norms"], ".6g"),
             "KKT": named(summary["kkt"], ".1e"),
         }
@@ -113,16 +113,6 @@ def mesh(result: Solved, summary: Mapping[str, Any]) -> str:
     facets = result.spaces.Lambda.dofmap.index_map.size_global
     of_gamma = f", {facets} {result.gamma} facets" if facets else ""
     return f"h = {summary['h']:.5g}, {summary['cells']} cells{of_gamma}"
-
-
-def read_off(summary: Mapping[str, Any]) -> dict[str, str]:
-    """What a summary has of probes and sections, in words."""
-    tables = {key.removesuffix("s"): summary.get(key, {}) for key in ("probes", "sections")}
-    return {
-        f"{key} {name}": named({column: value for column, value in row.items() if column not in AXES}, ".6g")
-        for key, rows in tables.items()
-        for name, row in rows.items()
-    }
 
 
 def bound(certificate: Certificate) -> str:

@@ -11,6 +11,7 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import write_rows
+from signorini_fenicsx.cases.units import TABLES, summary_of, units_of, with_units
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint import write_checkpoint
@@ -100,7 +101,9 @@ def write_evolution(
             of = type(opposite.table)
             _write_sites(results.path / of.name, rows, lambda step: columns(steps.table(step, of, OPPOSITE)), many=many)
         for name, table in readings.items():
-            write_columns(results.path / f"{name}.csv", (steps.readings(row, name) for row in rows))
+            own = units_of(solution) if name in TABLES else {}
+            found = (with_units(steps.readings(row, name), own) for row in rows)
+            write_columns(results.path / f"{name}.csv", found)
             if is_outline(table):
                 write_outlines(results.path / f"{name}.xdmf", ((row["t"], steps.readings(row, name)) for row in rows))
 
@@ -114,7 +117,7 @@ def write_evolution(
             _draw(results.path, steps, rows, times, solution, kind)
 
     def summarise() -> None:
-        summary = with_quantities(solution.summary(), quantities)
+        summary = with_quantities(summary_of(solution), quantities)
         on_root(comm, lambda: write_summary(results.path, summary | _along(rows)))
 
     write_checkpoint(results.path, solution)

@@ -19,6 +19,7 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.units import TABLES, summary_of, units_of, with_units
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import FieldBound
@@ -126,7 +127,8 @@ class SolutionFiles:
         with self._watch.phase("output"):
             write_sites(folder, self._solution)
             for name, columns in (self._solution.other_tables() | self._solution.readings).items():
-                on_root(self._comm, partial(write_columns, folder / f"{name}.csv", [columns]))
+                written = with_units(columns, self._units) if name in TABLES else columns
+                on_root(self._comm, partial(write_columns, folder / f"{name}.csv", [written]))
                 if is_outline(columns):
                     on_root(self._comm, partial(write_outlines, folder / f"{name}.xdmf", [(None, columns)]))
             history = self._solution.outcome.history
@@ -176,7 +178,12 @@ class SolutionFiles:
     @cached_property
     def _about(self) -> dict[str, Any]:
         """The summary of the solution itself."""
-        return self._solution.summary()
+        return summary_of(self._solution)
+
+    @cached_property
+    def _units(self) -> dict[str, str]:
+        """The units of what is read off."""
+        return units_of(self._solution)
 
 
 @collector_off()

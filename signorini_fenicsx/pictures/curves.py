@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from signorini_fenicsx.cases.plot import with_unit
+from signorini_fenicsx.cases.units import unit_of
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.sheet import Sheet
@@ -74,8 +76,15 @@ def draw_quantities(
 
 
 @mpl.rc_context(style.STYLE)
-def draw_probes(path: Path, times: Sequence[float], tables: Sequence[Mapping[str, Any]], title: str, time: str) -> None:
-    """Draw u, or the pressure head of water, at the first points of probes over time (rank 0)."""
+def draw_probes(
+    path: Path,
+    times: Sequence[float],
+    tables: Sequence[Mapping[str, Any]],
+    units: Mapping[str, str],
+    title: str,
+    time: str,
+) -> None:
+    """Draw u, or the pressure head of water, at the first points of probes over time, with units (rank 0)."""
     columns = [key for key in tables[0] if key.startswith("u")]
     columns = ["pressure"] if "pressure" in tables[0] else columns
     sheet, handles = Sheet([5.4], [2.6] * len(columns), bars=False, title=title), []
@@ -84,6 +93,7 @@ def draw_probes(path: Path, times: Sequence[float], tables: Sequence[Mapping[str
         for i, name in enumerate(tables[0]["probe"][:MOST_PROBES]):
             values = [table[column][i] for table in tables]
             handles += axes.plot(times, values, marker="." if len(times) <= FEW else "", color=f"C{i}", label=str(name))
-        axes.set(xlabel=time, title="pressure head" if column == "pressure" else column)
+        name = "pressure head" if column == "pressure" else column
+        axes.set(xlabel=time, title=with_unit(name, unit_of(column, units)))
     sheet.legend_below(handles[:MOST_PROBES])
     sheet.save(path)

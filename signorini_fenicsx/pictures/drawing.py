@@ -6,6 +6,7 @@ from typing import Any
 import matplotlib as mpl
 
 from signorini_fenicsx.base.extras import check_installed
+from signorini_fenicsx.cases.units import units_of
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.curves import draw_probes, draw_quantities
 from signorini_fenicsx.pictures.panels import DrawnSteps, error_panel
@@ -39,7 +40,8 @@ def draw_steps(folder: Path, scene: Scene, steps: DrawnSteps) -> None:
     labels = {each.name: each.label for each in getattr(scene.solution.source, "quantity", ())}
     draw_quantities(folder / "quantities.png", steps.rows, scene.title, labels, scene.plot.along("t"))
     if probes := steps.readings.get("probes"):
-        draw_probes(folder / "probes.png", steps.times, probes, scene.title, scene.plot.along("t"))
+        units = units_of(scene.solution)
+        draw_probes(folder / "probes.png", steps.times, probes, units, scene.title, scene.plot.along("t"))
 
 
 def write_page(path: Path, scene: Scene) -> None:

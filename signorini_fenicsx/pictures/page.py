@@ -14,12 +14,14 @@ import plotly.graph_objects as go
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.text import printable
 from signorini_fenicsx.cases.plot import with_unit
+from signorini_fenicsx.cases.units import read_off, units_of
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.meshes.domain import FAR
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.geometry import creases, thinned
 from signorini_fenicsx.pictures.panels import Panel, Where
 from signorini_fenicsx.pictures.scene import Scene
+from signorini_fenicsx.solving.solved import by_name
 
 if TYPE_CHECKING:
     from signorini_fenicsx.pictures.space import Space
@@ -197,10 +199,25 @@ class Page:
         scene, boundary, points = self.scene, self.scene.boundary, self.raised(self.scene)
         if scene.dim == 3:
             hull = self.surface(points, boundary.vertices, color="grey", opacity=0.08)
-            return [self.lines(points, creases(points, boundary.vertices), {"color": "black", "width": 3}), hull]
+            edges = self.lines(points, creases(points, boundary.vertices), {"color": "black", "width": 3})
+            return [edges, hull, *self.probes()]
         looks = [(boundary.vertices[boundary.kind != SIGNORINI], "black", 3, "Γ<sub>D</sub>, Γ<sub>N</sub>")]
         looks += [(vertices, colour, 8, name) for vertices, colour, name in self.sets() if vertices.shape[1] == 2]
-        return [self.lines(points, rows, {"color": c, "width": w}, name) for rows, c, w, name in looks if len(rows)]
+        drawn = [self.lines(points, rows, {"color": c, "width": w}, name) for rows, c, w, name in looks if len(rows)]
+        return [*drawn, *self.probes()]
+
+    def probes(self) -> list:
+        """The points of probes, which tell what is read off there; in the plane as high as u_h."""
+        solution = self.scene.solution
+        table = solution.readings.get("probes")
+        if table is None:
+            return []
+        height = table["u"] if self.scene.is_scalar else np.zeros(len(table["x"]))
+        x, y, z = self.near(np.column_stack([table["x"], table["y"], table.get("z", height)])).T
+        told = read_off({"probes": by_name(table, None)}, units_of(solution))
+        words = [html.escape(f"{name}: {values}") for name, values in told.items()]
+        look = {"mode": "markers", "marker": {"size": 5, "color": "black"}, "name": "probes", "showlegend": True}
+        return [go.Scatter3d(x=x, y=y, z=z, text=words, hoverinfo="text", **look)]
 
     def sets(self) -> list[tuple[Indices, str, str]]:
         """Γ_S by its groups, and the facets between cells in different states."""

@@ -100,6 +100,8 @@ class Solved(ABC):
     """The names that completion in a notebook shows; others are for the program itself."""
     order: ClassVar[int]
     """Order in h of ‖σ − σ_h‖ for a smooth u."""
+    unit_keys: ClassVar[tuple[str, str]] = ("unit", "flux_unit")
+    """The keys of `[plot]` for the units of u and σ."""
 
     @property
     def best_rate(self) -> float:
@@ -276,7 +278,7 @@ class Solved(ABC):
         return {
             f"{row} {key}": value
             for table in tables
-            for row, values in _by_name(table, None).items()
+            for row, values in by_name(table, None).items()
             for key, value in values.items()
             if key not in (*AXES, "measure")
         }
@@ -374,7 +376,7 @@ class Solved(ABC):
             "reason": outcome.reason,
             "norms": self.norms(),
             **({} if errors is None else {"errors": errors}),
-            **{name: _by_name(self.readings[name]) for name in ("probes", "sections") if name in self.readings},
+            **{name: by_name(self.readings[name]) for name in ("probes", "sections") if name in self.readings},
             "kkt": vars(self.kkt),
             **self._particular(),
             **({"notices": notes} if notes else {}),
@@ -421,7 +423,7 @@ def as_points(domain: Domain, points: npt.ArrayLike) -> Array:
     return x
 
 
-def _by_name(table: Columns, most: int | None = IN_SUMMARY) -> dict[str, dict[str, float]]:
+def by_name(table: Columns, most: int | None = IN_SUMMARY) -> dict[str, dict[str, float]]:
     """The first rows of a table by the names in their first column."""
     (_, names), *others = table.items()
     return {str(name): {key: float(column[i]) for key, column in others} for i, name in enumerate(names[:most])}

@@ -13,6 +13,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.solving import evolve_case, quantities_of, solve_case
+from signorini_fenicsx.cases.units import read_off, summary_of, units_of, with_units
 from signorini_fenicsx.cli.solution_report import interval
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.show.pictures import columns_of_cells, segments
@@ -27,6 +28,7 @@ from signorini_fenicsx.pictures.streams import APART, ARROW, SHARES, heads
 from signorini_fenicsx.pictures.style import around_0, colours_of, spans_decades
 from signorini_fenicsx.studies.study import make_run
 
+CUT = {"name": "cut", "points": [[0.5, -1], [0.5, 2]]}
 HEAT = {
     "u": "temperature",
     "unit": "°C",
@@ -253,3 +255,31 @@ def test_a_slim_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     draw_all(tmp_path, scene(load_case("soil_column").with_values({"solve.h": 0.2})))
     assert drawn["water.png"] == 3
     assert {drawn["sigma.png"], drawn["u.png"]} == {1}
+
+
+@pytest.mark.parametrize(
+    ("case", "plot", "column", "unit", "words"),
+    [
+        ("example1", {"unit": "°C", "flux_unit": "W/m²", "length_unit": "m"}, "u", "°C", "W/m² m  measure 1 m"),
+        ("bar", {"length_unit": "mm", "stress_unit": "MPa"}, "sigma_xy", "MPa", "MPa mm  measure 0.5 mm"),
+        ("outlet", {"unit": "m/s", "stress_unit": "Pa", "length_unit": "m"}, "u_x", "m/s", "Pa m  measure 1 m"),
+    ],
+)
+def test_what_is_read_off_has_units(tmp_path: Path, case: str, plot: dict, column: str, unit: str, words: str):
+    """Those of `[plot]` are in report, table, summary, page and notebook; tables without them keep their names."""
+    values = {"solve.h": 0.5, "probe": [{"name": "P Q", "points": [0.3, 0.4]}], "section": [CUT]} | {
+        f"plot.{key}": value for key, value in plot.items()
+    }
+    solution = solve_case(load_case(case).with_values(values), MPI.COMM_SELF)
+    solution.write(tmp_path / "out", html=True)
+    assert f",{column} ({unit})," in (tmp_path / "out" / "probes.csv").read_text(encoding="utf-8").splitlines()[0] + ","
+    summary = summary_of(solution)
+    assert summary["units"][column.partition("_")[0]] == unit
+    lines = read_off(summary, units_of(solution))
+    assert lines["section cut"].endswith(words)
+    assert f" {unit}" in lines["probe P Q"]
+    page, table = (tmp_path / "out" / "solution.html").read_text(encoding="utf-8"), solution._repr_html_()
+    assert "probe P Q: " in page
+    assert table is not None
+    assert unit in table
+    assert with_units({"u": np.zeros(1)}, {}).keys() == {"u"}

@@ -70,6 +70,7 @@ class ElasticSolution(Solution):
     kkt: ElasticKKT
     bound_changes: tuple[float, ...] = ()
     order = 2
+    unit_keys = ("length_unit", "stress_unit")
     _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
     offers = (*Solution.offers, *_own)
     fields, lines = shown.fields, shown.lines

@@ -23,6 +23,7 @@ class StokesSolution(ElasticSolution):
     """A discrete solution of viscous flow and how it was found, see `ElasticSolution`; `pressure` is σ_nn on laws."""
 
     problem: StokesProblem
+    unit_keys = ("unit", "stress_unit")
     fields, lines, columns = shown.fields, shown.lines, shown.columns
 
     @property

@@ -198,9 +198,9 @@ DETAILS = {
 
 def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
-    lines, length = {}, plot_of(solution.source).length_unit
+    lines, plot = {}, plot_of(solution.source)
     if solution.spaces.part_names:
-        measure = in_unit(f"{summary['contact_measure']:.6g}", length, solution.spaces.mesh.topology.dim - 1)
+        measure = in_unit(f"{summary['contact_measure']:.6g}", plot.length_unit, solution.spaces.mesh.topology.dim - 1)
         lines["contact"] = f"{summary['contact_facets']} facets, measure {measure}"
     if "obstacle" in summary:
         on = summary["obstacle"]
@@ -226,7 +226,8 @@ def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
     if solution.water:
         inflows = {part: about["inflow"] for part, about in solution.water.items()}
         left = summary["water_balance"]["left"]
-        lines["flows in"] = f"{named(inflows, '.6g')}; left of the balance {left:.1e}"
+        unit = plot.over_facets(plot.flux_unit, solution.spaces.mesh.geometry.dim)
+        lines["flows in"] = f"{named(inflows, '.6g')}{f' {unit}' if unit else ''}; left of the balance {left:.1e}"
     if solution.seepage is not None:
         lines["seepage"] = solution.seepage.in_words()
     return lines
