@@ -212,7 +212,7 @@ class Page:
         table = solution.readings.get("probes")
         if table is None:
             return []
-        height = table["u"] if self.scene.is_scalar else np.zeros(len(table["x"]))
+        height = table.get("u", np.zeros(len(table["x"])))  # a scalar, over the plane
         x, y, z = self.near(np.column_stack([table["x"], table["y"], table.get("z", height)])).T
         told = read_off({"probes": by_name(table, None)}, units_of(solution))
         words = [html.escape(f"{name}: {values}") for name, values in told.items()]
