@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
+from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, check_kind
@@ -144,8 +145,9 @@ class SolutionFiles:
     def pictures(self, folder: Path) -> None:
         """Draw PNGs."""
         self._draw(lambda drawing, scene: drawing.draw_all(folder, scene))
-        if self.found.of_field is not None:
-            _draw_field(folder / "field.png", self.found.of_field)
+        if (of_field := self.found.of_field) is not None:
+            path = folder / "field.png"
+            _draw(of_field.solution, lambda drawing, scene: drawing.draw_field(path, scene), of_field.indicator)
 
     def page(self, folder: Path) -> None:
         """Write `solution.html`."""
@@ -274,14 +276,13 @@ def write_sites(folder: Path, solution: Solved) -> None:
     on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", [solution.columns(whole)]))
 
 
-def _draw_field(path: Path, of_field: FieldBound) -> None:
-    """Draw how wrong a function is in each cell, on rank 0 (collective)."""
+def _draw(solution: Solved, draw: Callable[[Any, Any], None], indicator: fem.Function | None = None) -> None:
+    """Draw the scene of a solution, perhaps with what is wrong in each cell, on rank 0 (collective)."""
     from signorini_fenicsx.pictures import drawing  # takes a second to import
     from signorini_fenicsx.pictures.scene import gathered_scene
 
-    solution = of_field.solution
-    scene = gathered_scene(solution, indicator=of_field.indicator)
-    on_root(solution.spaces.mesh.comm, lambda: None if scene is None else drawing.draw_field(path, scene))
+    scene = gathered_scene(solution, indicator=indicator)
+    on_root(solution.spaces.mesh.comm, lambda: None if scene is None else draw(drawing, scene))
 
 
 def publish_convergence(
@@ -329,18 +330,13 @@ def draw_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
     """Draw `adapt.png` and `mesh.png` of an adaptive run with rows that ended with this solution (collective)."""
     if not rows:
         return
-    from signorini_fenicsx.output.curves import draw_bounds
-    from signorini_fenicsx.pictures import drawing  # takes a second to import
-    from signorini_fenicsx.pictures.scene import gathered_scene
+    from signorini_fenicsx.output.curves import draw_bounds  # takes a second to import
 
-    scene = gathered_scene(solution)
-
-    def draw() -> None:
+    def draw(drawing: Any, scene: Any) -> None:
         draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
-        if scene is not None:
-            drawing.draw_mesh(folder / "mesh.png", scene)
+        drawing.draw_mesh(folder / "mesh.png", scene)
 
-    on_root(solution.spaces.mesh.comm, draw)
+    _draw(solution, draw)
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
