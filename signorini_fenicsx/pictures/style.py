@@ -31,7 +31,7 @@ STYLE = {
 """Settings of Matplotlib; `mpl.rc_context(STYLE)` applies them to a function only, not to the process."""
 
 CONTACT, FREE, WATER, LOAD = "#d62728", "#5ab4e6", "#4a90c2", "#0072b2"
-SEGMENTS = ("#e69f00", "#009e73", "#cc79a7", "#0072b2", "#f0e442", "#7f7f7f")
+SEGMENTS = ("#e69f00", "#009e73", "#cc79a7", "#0072b2", "#7f7f7f", "#f0e442")
 OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "#0072b2", "open": FREE}
 """Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn, which are
 those of Okabe and Ito: colour-blind readers tell them apart."""
