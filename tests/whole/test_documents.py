@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import measure
 import pytest
+import random_runs
 import typer
 from pydantic import BaseModel
 
@@ -73,6 +75,15 @@ def schemas(model: type[BaseModel]) -> list[dict[str, Any]]:
     """The JSON schemas of a model and of its parts."""
     schema = model.model_json_schema()
     return [schema, *schema["$defs"].values()]
+
+
+def test_scripts_that_pages_name():
+    """Each script is there, and knows what a page asks it for."""
+    found = re.compile(r"scripts/(\w+)\.py(?: ([a-zA-Z][\w-]*))?")
+    named = {pair for page in PAGES for pair in found.findall(page.read_text("utf-8"))}
+    assert [name for name, _ in named if not (ROOT / "scripts" / f"{name}.py").is_file()] == []
+    known = {"measure": measure.MODULES, "random_runs": random_runs.KINDS}
+    assert [(name, what) for name, what in named if what and what not in known.get(name, (what,))] == []
 
 
 def test_names_in_python():
