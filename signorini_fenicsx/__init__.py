@@ -1,4 +1,4 @@
-"""Fully mixed RT0/P0 methods for the Signorini problem on FEniCSx, in parallel.
+"""Fully mixed methods for the Signorini problem and its kin on FEniCSx, in parallel, with certified bounds.
 
 A problem:
 

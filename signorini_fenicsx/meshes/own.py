@@ -41,9 +41,9 @@ def domain_of(
 
     Args:
         mesh: Triangles or tetrahedra with straight edges, with or without ghost cells.
-        parts: Facets of the boundary, or inside, for each name of a part, with or without ghosts; the same names on all
-            ranks.
-        regions: Cells for each name of a region, for κ by region.
+        parts: Facets of the boundary, or inside, for each name of a part: their numbers on this rank, with or without
+            ghosts, or a function of points; the same names on all ranks.
+        regions: Cells for each name of a region likewise, for data by region.
         name: Name of the domain.
         inner: Names of the parts inside the domain. The named side of each, out of which n points, is where the last
             coordinate is larger, if its condition has no `side`. It has to have one where facets are along that axis.

@@ -24,7 +24,7 @@ OWN = "own"
 class Options:
     """How to solve, like the section `[solve]` of a case file without h.
 
-    Elastic contact takes alg1, alg2, or your own rule without a penalty, and no other backend, ρ or ε.
+    Bodies and flows take alg1, alg2, or your own rule without penalty and clip, and have no backend, element, ρ or ε.
 
     Attributes:
         algorithm: A name that `signorini methods` lists, or your own rule or method.

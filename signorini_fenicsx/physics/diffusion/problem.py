@@ -60,7 +60,7 @@ class Diffusion(Scalar):
         f: Load, or one for each region of the mesh.
         kappa: κ: a scalar, a symmetric positive definite matrix, or one of these for each region of the mesh. A scalar
             may depend on u: a text in x, y, z and u, a function of points and u, or a soil, `VanGenuchten`, `Gardner`
-            or `BrooksCorey`, with the head as u.
+            or `BrooksCorey`, with the head or the pressure head as u, see `form`.
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no part needs a given u.
         u_D: Trace on the parts that no condition names, continuous.
         obstacle: Lower bound of u in Ω, continuous; None for none. A short form of `Obstacle(region="all", psi=…)`.
