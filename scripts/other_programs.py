@@ -49,14 +49,9 @@ from signorini_fenicsx.quantities import Force
 
 type Array = np.ndarray
 
-CASE = """[geometry]
-shape = "square"
-[boundary]
-signorini = ["bottom"]
-neumann = ["left", "right"]
-[problem]
-f = "-12*y^2"
-u_D = "1/2"
+CASE = """problem = {f = "-12*y^2", u_D = "1/2"}
+geometry.shape = "square"
+boundary = {signorini = ["bottom"], neumann = ["left", "right"]}
 """
 N = 32
 ROUNDS = 50

@@ -53,6 +53,22 @@ class Item:
         return all(run.parameters[key] == value for key, value in self.where.items())
 
 
+type Figures = tuple[str, str, list[str], dict[str, object], dict[int, int]]
+
+FIGURES: tuple[Figures, ...] = (
+    ("solution", "u_h, σ_h and |σ_h|.", ["solutions"], {}, {1: 2, 2: 5, 3: 8, 4: 11, 5: 15, 6: 19}),
+    ("traces", "u_h, σ_h·n and p_h on Γ_S.", ["solutions"], {}, {1: 3, 2: 6, 3: 9}),
+    ("iterations", "iteration errors.", ["iterations"], {}, {1: 4, 2: 7, 3: 10}),
+    (
+        *("penalty_traces", "u_εh, σ_εh·n and p_εh on Γ_S for two ε."),
+        *(["penalty_iterations"], {"solve.algorithm": "alg3"}, {4: 12, 5: 16, 6: 20}),
+    ),
+    ("errors", "errors over h and over ε.", ["penalty_h", "penalty_eps"], {}, {4: 13, 5: 17, 6: 21}),
+    ("iterations", "iteration errors.", ["penalty_iterations"], {"solve.eps": 1e-8}, {4: 14, 5: 18, 6: 22}),
+)
+"""How figures are drawn, their captions, studies, what selects runs, and the number of the figure of each example."""
+
+
 def items() -> dict[str, Item]:
     """All tables and figures, by name."""
     by_name: dict[str, Item] = {}
@@ -65,42 +81,10 @@ def items() -> dict[str, Item]:
             {"case": f"example{case}", "solve.algorithm": algorithm},
         )
     by_name["figure1"] = Item("region", "A domain Ω with Dirichlet boundary Γ_D and Signorini boundary Γ_S.")
-    for number, case in {2: 1, 5: 2, 8: 3, 11: 4, 15: 5, 19: 6}.items():
-        by_name[f"figure{number}"] = Item(
-            "solution", f"Example {case}: u_h, σ_h and |σ_h|.", ["solutions"], {"case": f"example{case}"}
-        )
-    for number, case in {3: 1, 6: 2, 9: 3}.items():
-        by_name[f"figure{number}"] = Item(
-            "traces", f"Example {case}: u_h, σ_h·n and p_h on Γ_S.", ["solutions"], {"case": f"example{case}"}
-        )
-    for number, case in {4: 1, 7: 2, 10: 3}.items():
-        by_name[f"figure{number}"] = Item(
-            "iterations",
-            f"Example {case}: iteration errors.",
-            ["iterations"],
-            {"case": f"example{case}"},
-        )
-    for number, case in {12: 4, 16: 5, 20: 6}.items():
-        by_name[f"figure{number}"] = Item(
-            "penalty_traces",
-            f"Example {case}: u_εh, σ_εh·n and p_εh on Γ_S for two ε.",
-            ["penalty_iterations"],
-            {"case": f"example{case}", "solve.algorithm": "alg3"},
-        )
-    for number, case in {13: 4, 17: 5, 21: 6}.items():
-        by_name[f"figure{number}"] = Item(
-            "errors",
-            f"Example {case}: errors over h and over ε.",
-            ["penalty_h", "penalty_eps"],
-            {"case": f"example{case}"},
-        )
-    for number, case in {14: 4, 18: 5, 22: 6}.items():
-        by_name[f"figure{number}"] = Item(
-            "iterations",
-            f"Example {case}: iteration errors.",
-            ["penalty_iterations"],
-            {"case": f"example{case}", "solve.eps": 1e-8},
-        )
+    for draw, caption, studies, where, numbers in FIGURES:
+        for case, number in numbers.items():
+            chosen = {"case": f"example{case}", **where}
+            by_name[f"figure{number}"] = Item(draw, f"Example {case}: {caption}", studies, chosen)
     names = [f"table{number}" for number in range(1, 7)] + [f"figure{number}" for number in range(1, 23)]
     return {name: by_name[name] for name in names}
 

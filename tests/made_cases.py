@@ -1,6 +1,7 @@
-"""Cases for tests: small ones of their own, and shipped ones with other values."""
+"""Cases for tests: small ones of their own, and shipped ones with other values; and a law."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,24 @@ from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.contact.law import Graph, Law, Values
+from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
 
+SQUARE_BODY = """
+physics = "elasticity"
+
+[geometry]
+shape = "square"
+mesh = "structured"
+
+[boundary]
+neumann = ["left", "right"]
+"""
+"""The beginning of a case of elastic contact."""
 EXACT = ("friction", "two_sided", "wall", "regulator", "staircase")
 CASE = """
 title = "A test case"
@@ -31,6 +45,18 @@ f = "{f}"
 [solve]
 h = {h}
 """
+
+
+@dataclass(frozen=True)
+class Spring(Law):
+    """A law of one's own: κ∇u·n = −stiffness u."""
+
+    stiffness: Given = 1.0
+    segments = ("spring",)
+
+    def graph(self, values: Values) -> Graph:
+        """A line has a corner too, without a bend."""
+        return Graph((0.0, 0.0), [(0.0, 0.0)], values["stiffness"], values["stiffness"])
 
 
 def make_case(

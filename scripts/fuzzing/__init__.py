@@ -14,6 +14,14 @@ sys.path.append(str(Path(__file__).parents[2] / "tests"))  # the folder of `brok
 
 OUTPUT = "out"
 """Folder for the results of every command."""
+CASE = """[geometry]
+file = "{file}"
+[boundary]
+signorini = ["{part}"]
+[problem]
+f = "10*(x - 0.4)"
+"""
+"""A case with a mesh file."""
 
 NUMBERS = (
     "0", "-1", "1", "3", "7", "2147483648", "-9223372036854775809", "1e308", "-1e308", "1e-308", "1e999", "nan",

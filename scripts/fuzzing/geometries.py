@@ -4,7 +4,7 @@ import random
 import re
 from pathlib import Path
 
-from fuzzing import OUTPUT, Broken, Damage, Valid, damaged, mixed, renumbered, reworded
+from fuzzing import CASE, OUTPUT, Broken, Damage, Valid, damaged, mixed, renumbered, reworded
 from signorini_fenicsx.base.shipped import data_folder
 
 SQUARE = """h = 0.5;
@@ -115,13 +115,6 @@ TOKENS = (
     *("h", "x", "1", "2", "3", "4", "0.5", "1e9", "-1", "{1,2,3}", '"bottom"', "//", "/*", "*/", "\n", "SetFactory"),
 )  # fmt: skip
 DAMAGES: tuple[Damage, ...] = (renumbered, renumbered, renumbered, reworded, reworded, mixed, mixed)
-CASE = """[geometry]
-file = "mesh.geo"
-[boundary]
-signorini = ["{part}"]
-[problem]
-f = "10*(x - 0.4)"
-"""
 
 
 def geometry(rng: random.Random, folder: Path, valid: Valid) -> Broken:
@@ -136,7 +129,7 @@ def geometry(rng: random.Random, folder: Path, valid: Valid) -> Broken:
     (folder / "mesh.geo").write_bytes(data)
     (folder / "other.geo").write_text(CALL, encoding="utf-8")
     (folder / "mesh.geo.opt").write_text(CALL, encoding="utf-8")
-    (folder / "case.toml").write_text(CASE.format(part=part), encoding="utf-8")
+    (folder / "case.toml").write_text(CASE.format(file="mesh.geo", part=part), encoding="utf-8")
     words = ["check", "case.toml"]
     if rng.random() < 0.2:
         words = ["info", "case.toml"]

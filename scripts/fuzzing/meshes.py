@@ -13,7 +13,7 @@ import meshio
 import numpy as np
 from broken_input import MESH_MUTATIONS, msh_text, square_msh, write_broken_mesh
 
-from fuzzing import BINARY, OUTPUT, TEXT, Broken, Valid, damaged
+from fuzzing import BINARY, CASE, OUTPUT, TEXT, Broken, Valid, damaged
 from signorini_fenicsx.meshes.checks import faces
 
 FORMATS = {
@@ -42,13 +42,6 @@ SUFFIXES = (
     ".msh", ".vtu", ".xdmf", ".mesh", ".geo", ".stl", ".e", ".cgns", ".h5m", ".ply", ".txt", "", ".xml", ".ugrid",
     ".node",
 )  # fmt: skip
-CASE = """[geometry]
-file = "{file}"
-[boundary]
-signorini = ["1"]
-[problem]
-f = "10*(x - 0.4)"
-"""
 LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
 DOCTYPES = (
     f'<!DOCTYPE VTKFile [<!ENTITY l0 "lol">{LAUGHS}]>',
@@ -76,7 +69,7 @@ def mesh_file(rng: random.Random, folder: Path, valid: Valid) -> Broken:
     way = rng.choice([_known, _bytes, _bytes, _bytes, _structure, _structure, _dolfinx, _hostile])
     file, about, refused = way(rng, folder)
     if not (folder / "case.toml").exists():
-        (folder / "case.toml").write_text(CASE.format(file=file), encoding="utf-8")
+        (folder / "case.toml").write_text(CASE.format(file=file, part=1), encoding="utf-8")
     command = rng.choice(["check", "check", "check", "info", "solve"])
     words = [command, "case.toml"] + (["--output", OUTPUT] if command == "solve" else [])
     return Broken(words, about, refused, earlier=command == "solve" and rng.random() < 0.5)

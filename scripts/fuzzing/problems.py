@@ -20,9 +20,8 @@ from broken_input import msh_text, square_msh
 from makers.quantities import Known, bar, membrane
 from scipy.linalg import solveh_banded
 
-from fuzzing import OUTPUT, Broken, Valid
+from fuzzing import CASE, OUTPUT, Broken, Valid
 from fuzzing.judge import Ending, Runner, make_folders
-from fuzzing.meshes import CASE
 from fuzzing.texts import LAWS
 from signorini_fenicsx import Contact, Dirichlet, Signorini
 from signorini_fenicsx.expressions import read, values
@@ -360,7 +359,7 @@ def make_valid(pencil: Path, runner: Runner) -> Valid:
     make_folders(root)
     work = root / "work"
     (work / "square.msh").write_text(msh_text(*square_msh(3)), encoding="utf-8")
-    text = CASE.format(file="square.msh").replace('["1"]', '["bottom"]')
+    text = CASE.format(file="square.msh", part="bottom")
     (work / "mesh.toml").write_text(text, encoding="utf-8")
     (work / "lifted.toml").write_text(LIFTED, encoding="utf-8")
 

@@ -7,10 +7,9 @@ from typing import Any, ClassVar, get_args, get_type_hints
 
 from pydantic import ConfigDict, ValidationError, create_model, model_validator
 
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.complaints import complaint, keys_of
-from signorini_fenicsx.cases.parts import Section
+from signorini_fenicsx.cases.parts import Description, Section
 from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, VectorByPart, texts_of
 from signorini_fenicsx.contact.law import VERTICAL
 from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix, GivenVectorByRegion
@@ -36,7 +35,7 @@ class DataSection(Section):
         return [entry for name, value in data for entry in texts_of(name, value)]
 
 
-class KindSection(Section):
+class KindSection(Description):
     """A section with the data of the dataclass that its `kind` names, under the names of the fields.
 
     A subclass has `kind`, and keys that there are for all kinds.
@@ -68,26 +67,10 @@ class KindSection(Section):
             raise ValueError(complaint(error, section, of=of)) from None
         return of_all | own.model_dump(exclude_unset=True)
 
-    @model_validator(mode="after")
-    def _can_be_made(self) -> Any:
-        try:
-            self.made()
-        except InputError as error:
-            raise ValueError(str(error)) from None
-        return self
-
     @property
     def data(self) -> DataSection:
         """The data of the kind."""
         return self.of_kind[self.kind].model_validate(self.model_extra or {})
-
-    def made(self) -> Any:
-        """The object that the section describes.
-
-        Raises:
-            InputError: If its data are not what they have to be.
-        """
-        raise NotImplementedError
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""

@@ -3,10 +3,11 @@
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.complaints import keys_of
 from signorini_fenicsx.meshes.checks import key_of
 
@@ -15,6 +16,26 @@ class Section(BaseModel):
     """A section of a case file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Description(Section):
+    """A section that describes an object, which can be made of it."""
+
+    @model_validator(mode="after")
+    def _can_be_made(self) -> Self:
+        try:
+            self.made()
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def made(self) -> Any:
+        """The object.
+
+        Raises:
+            InputError: If its data are not what they have to be.
+        """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)

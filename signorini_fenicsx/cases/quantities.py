@@ -1,6 +1,6 @@
 """`[[quantity]]`: a number that `solve` proves from both sides."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -10,31 +10,8 @@ from signorini_fenicsx.cases.data_section import READERS, KindSection, data_sect
 from signorini_fenicsx.cases.plot import Word, with_unit
 from signorini_fenicsx.cases.values import choice
 from signorini_fenicsx.expressions.given import negative
-from signorini_fenicsx.quantities import (
-    Dissipation,
-    Energy,
-    Flow,
-    Flux,
-    Force,
-    Integral,
-    Kind,
-    Mean,
-    MeanPressure,
-    Moment,
-)
+from signorini_fenicsx.quantities.kinds import KINDS, Kind
 
-KINDS: Mapping[str, type[Kind]] = {
-    "integral": Integral,
-    "mean": Mean,
-    "flux": Flux,
-    "energy": Energy,
-    "force": Force,
-    "moment": Moment,
-    "flow": Flow,
-    "dissipation": Dissipation,
-    "pressure": MeanPressure,
-}
-"""The quantities by the names that case files have for them."""
 OF_QUANTITIES = READERS | {str | Sequence[str]: str | list[str], Sequence[float]: list[float]}
 SIGNED = ("integral", "flux")
 """Those with a sign: the physical flux may be −κ∇u, and u minus what is meant."""

@@ -87,14 +87,6 @@ class Measured(Protocol):
     """A quantity with its interval, see `quantities.Quantity`."""
 
     @property
-    def lower(self) -> float:
-        """The lower end of the interval."""
-
-    @property
-    def upper(self) -> float:
-        """The upper end of the interval."""
-
-    @property
     def width(self) -> float:
         """The length of the interval."""
 

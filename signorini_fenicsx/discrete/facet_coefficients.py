@@ -15,10 +15,9 @@ from signorini_fenicsx.discrete.bernstein import exponents, nodes
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
 
-NOTHING = 1e-13
-"""The weight of a node that is rounding; which nodes a condition has does not depend on their numbers."""
-HALVINGS = 3
-"""How often the edges of facets in space are halved where lengths of vectors are integrated."""
+NOTHING, HALVINGS = 1e-13, 3
+"""The weight of a node that is rounding, as which nodes a condition has must not depend on their numbers; how often the
+edges of facets in space are halved where lengths of vectors are integrated."""
 
 
 @dataclass(frozen=True)

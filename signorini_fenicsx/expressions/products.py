@@ -20,10 +20,8 @@ from signorini_fenicsx.expressions.tree import Tree, is_polynomial, polynomial_d
 
 EXACT = 15
 """Polynomials up to this degree are integrated exactly."""
-OF_SUMS = 1e-12
-"""Rounding of a sum, as a share of that of the sizes."""
-SHARPEST = 1e-10
-"""Nothing sharper is aimed at than this share of the sum of the sizes."""
+OF_SUMS, SHARPEST = 1e-12, 1e-10
+"""Rounding of a sum as a share of that of the sizes, and the sharpest that is aimed at, as a share of it."""
 SMALLEST = 1e-100
 """Tolerances are at least this."""
 

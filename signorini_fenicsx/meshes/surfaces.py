@@ -17,10 +17,9 @@ KIND = {2: "line", 3: "triangle"}
 IN_WORDS = {2: "segments", 3: "triangles"}
 AT_ONCE = 1_000_000
 """Pairs of a point and an element that are in memory at the same time."""
-EDGE = 1e-9
-"""An element is that much larger on each side, as a share of itself, so that nothing passes between two of them."""
-FLAT = 1e-12
-"""An element along which a line goes is not crossed by it, up to this share."""
+EDGE, FLAT = 1e-9, 1e-12
+"""An element is larger on each side by the first share of itself, so that nothing passes between two of them; a line
+that goes along it, up to the second share, does not cross it."""
 
 
 @dataclass(frozen=True)

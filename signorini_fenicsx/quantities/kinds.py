@@ -1,6 +1,6 @@
 """The quantities that there are."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from signorini_fenicsx.base.errors import InputError, names_of
@@ -128,3 +128,17 @@ class Energy(Kind):
     Under the law of Signorini this is −⟨q_S, u⟩, under others see `laws.energies`. Of elastic bodies it is ½(ℂε, ε)
     with ε = ε(u) − ε₀, less the work of the loads, and g|u_t| of friction.
     """
+
+
+KINDS: Mapping[str, type[Kind]] = {
+    "integral": Integral,
+    "mean": Mean,
+    "flux": Flux,
+    "energy": Energy,
+    "force": Force,
+    "moment": Moment,
+    "flow": Flow,
+    "dissipation": Dissipation,
+    "pressure": MeanPressure,
+}
+"""The quantities by the names that case files have for them."""

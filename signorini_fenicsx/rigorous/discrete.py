@@ -17,30 +17,23 @@ from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.rigorous.simplices import EDGES, facet_measures
+from signorini_fenicsx.rigorous.simplices import EDGES, Cells, facet_measures
 
 INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
 """Kinds of facets."""
 
 
 @dataclass(frozen=True)
-class MeshCells:
+class MeshCells(Cells):
     """The cells of a mesh.
 
     Attributes:
-        vertices: Their vertices, shape (cells, d + 1, d).
         corners: Numbers of these vertices, the same for the same vertex, shape (cells, d + 1).
         facets: Number of the facet opposite to each vertex, shape (cells, d + 1).
     """
 
-    vertices: Array
     corners: Indices
     facets: Indices
-
-    @property
-    def dim(self) -> int:
-        """The dimension d."""
-        return self.vertices.shape[2]
 
 
 @dataclass(frozen=True)

@@ -50,23 +50,32 @@ def root_above(value: float) -> float:
 
 
 @dataclass(frozen=True)
-class Simplices:
-    """Cells and their geometry.
+class Cells:
+    """Cells.
 
     Attributes:
-        vertices: Shape (cells, d + 1, d).
-        measure: |T|.
-        gradients: Gradients of the barycentric coordinates, shape (cells, d + 1, d).
+        vertices: Their vertices, shape (cells, d + 1, d).
     """
 
     vertices: Array
-    measure: Interval
-    gradients: Interval
 
     @property
     def dim(self) -> int:
         """The dimension d."""
         return self.vertices.shape[2]
+
+
+@dataclass(frozen=True)
+class Simplices(Cells):
+    """Cells and their geometry.
+
+    Attributes:
+        measure: |T|.
+        gradients: Gradients of the barycentric coordinates, shape (cells, d + 1, d).
+    """
+
+    measure: Interval
+    gradients: Interval
 
     def some(self, which: Indices) -> "Simplices":
         """The geometry of some of the cells."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_cases import Spring
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -37,18 +38,6 @@ class Held(Law):
         return Graph((0.0, 0.0), [(low, 0.0), (2.0, 0.0)], np.inf, np.inf)
 
 
-@dataclass(frozen=True)
-class Falling(Law):
-    """Another one: κ∇u·n = −steepness u."""
-
-    steepness: Given = 0.0
-    segments = ("line",)
-
-    def graph(self, values: Values) -> Graph:
-        """A line has a corner too, without a bend."""
-        return Graph((0.0, 0.0), [(0.0, 0.0)], values["steepness"], values["steepness"])
-
-
 def test_bounds_are_found_by_the_graph():
     """The datum at a vertical end is a bound, whatever its name, in a law of one's own and in one given by corners."""
     domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
@@ -77,7 +66,7 @@ def test_bounds_are_found_by_the_graph():
         (Corners(["bottom"], [(-9, 1), ("-log(x)", 0)], 0, "vertical"), r"law.0.corners.1.0: not finite everywhere"),
         (Held(["bottom"], rest="x", shift="1"), r"law.0 \(Held\): its graph is vertical at the first end, so u of"),
         (Held(["bottom"], rest="3*x"), r"law.0 \(Held\): u must not fall from corner 0 to 1, as at \(0.9"),
-        (Falling(["bottom"], steepness="x - 2"), r"law.0 \(Falling\): before must not be negative, as at \(0.0"),
+        (Spring(["bottom"], stiffness="x - 2"), r"law.0 \(Spring\): before must not be negative, as at \(0.0"),
     ],
 )
 def test_graphs_are_checked(law: Law, message: str):

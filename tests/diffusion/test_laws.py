@@ -2,13 +2,13 @@
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import signorini
-from made_cases import EXACT, many, on_grid
+from made_cases import EXACT, Spring, many, on_grid
 from makers.scalar import examine_laws
 from mpi4py import MPI
 
@@ -19,7 +19,7 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.law import Graph, Law, Values
+from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners, Dirichlet, Friction, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, Present
 from signorini_fenicsx.meshes.domain import Boundary
@@ -142,18 +142,6 @@ def test_distance_to_a_graph():
     ]:
         found = [float(part[0]) for part in chain.distances(np.array([p]), np.array([flux]), np.array([1.0]))]
         assert found == pytest.approx(expected), (p, flux)
-
-
-@dataclass(frozen=True)
-class Spring(Law):
-    """A law of one's own: κ∇u·n = −stiffness u."""
-
-    stiffness: float = 1.0
-    segments = ("spring",)
-
-    def graph(self, values: Values) -> Graph:
-        """A line has a corner too, without a bend."""
-        return Graph((0.0, 0.0), [(0.0, 0.0)], values["stiffness"], values["stiffness"])
 
 
 def test_laws_in_python():

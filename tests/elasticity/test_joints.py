@@ -8,6 +8,7 @@ import pytest
 from commands import read_rows, signorini
 from elastic import box
 from in_time import run, run_in_two
+from made_cases import SQUARE_BODY
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -106,16 +107,7 @@ def test_refused(wrong: Callable[[], object], words: str):
         wrong()
 
 
-CASE = """
-physics = "elasticity"
-
-[geometry]
-shape = "square"
-mesh = "structured"
-
-[boundary]
-neumann = ["left", "right"]
-
+CASE = f"""{SQUARE_BODY}
 [[law]]
 kind = "joint_springs"
 parts = ["bottom"]
@@ -127,7 +119,7 @@ mu = 0.4
 young = 1
 poisson = 0
 u_D = ["0.08", "-0.1"]
-g_N = {left = ["0", "-0.02"], right = ["0", "0.02"]}
+g_N = {{left = ["0", "-0.02"], right = ["0", "0.02"]}}
 
 [solve]
 h = 1

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from commands import signorini
 from in_time import run_in_two
+from made_cases import SQUARE_BODY
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
@@ -54,16 +55,7 @@ name = "energy"
 kind = "energy"
 """
 """u = −t in all of the square, until it reaches the bound of the bottom."""
-SLIDING = """
-physics = "elasticity"
-
-[geometry]
-shape = "square"
-mesh = "structured"
-
-[boundary]
-neumann = ["left", "right"]
-
+SLIDING = f"""{SQUARE_BODY}
 [[law]]
 parts = ["bottom"]
 kind = "friction"
@@ -73,7 +65,7 @@ g = 0.02
 young = 1
 poisson = 0
 u_D = ["0.09*(1 + t)", "-0.1"]
-g_N = {right = ["0", "0.02"], left = ["0", "-0.02"]}
+g_N = {{right = ["0", "0.02"], left = ["0", "-0.02"]}}
 
 [time]
 end = 3

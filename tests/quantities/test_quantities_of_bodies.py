@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from commands import signorini
+from made_cases import SQUARE_BODY
 from mpi4py import MPI
 
 from signorini_fenicsx import (
@@ -177,16 +178,7 @@ def test_refused_of_bodies(friction: Coulomb | None, kind: Kind, words: str):
         check_quantities(domain, pressed(friction).on(domain), [kind])
 
 
-ELASTIC = """
-physics = "elasticity"
-
-[geometry]
-shape = "square"
-mesh = "structured"
-
-[boundary]
-contact = ["bottom"]
-neumann = ["left", "right"]
+ELASTIC = f"""{SQUARE_BODY}contact = ["bottom"]
 
 [problem]
 young = 1

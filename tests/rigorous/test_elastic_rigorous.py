@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from commands import signorini
 from elastic import box
+from made_cases import SQUARE_BODY
 from mpi4py import MPI
 from test_rigorous import quadrature
 
@@ -396,16 +397,9 @@ def test_command_line(tmp_path: Path):
     """The bound in the output and the summary; what is refused is refused before the solve."""
     case = tmp_path / "block.toml"
     case.write_text(
-        """
+        f"""
 title = "A block on a curved foundation"
-physics = "elasticity"
-
-[geometry]
-shape = "square"
-
-[boundary]
-contact = ["bottom"]
-neumann = ["left", "right"]
+{SQUARE_BODY}contact = ["bottom"]
 
 [problem]
 young = "1"

@@ -1,12 +1,11 @@
 """`[soil.NAME]`: the soil of a region, or of "all", which stands for κ and, in time, for the storage of water."""
 
 from collections.abc import Mapping
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.parts import Section
+from signorini_fenicsx.cases.parts import Description
 from signorini_fenicsx.cases.values import Positive, choice, number
 from signorini_fenicsx.contact.law import EVERYWHERE
 from signorini_fenicsx.physics.diffusion.soils import SOILS, Soil
@@ -14,7 +13,7 @@ from signorini_fenicsx.physics.diffusion.soils import SOILS, Soil
 type NotNegative = Annotated[float, BeforeValidator(number), Field(ge=0, allow_inf_nan=False)]
 
 
-class SoilTexts(Section):
+class SoilTexts(Description):
     """One soil, see `soils.Soil`."""
 
     model: Annotated[str, choice("model", tuple(SOILS))]
@@ -25,14 +24,6 @@ class SoilTexts(Section):
     theta_s: Positive = 1.0
     specific_storage: NotNegative = 0.0
     air_entry: NotNegative = 0.0
-
-    @model_validator(mode="after")
-    def _can_be_made(self) -> Self:
-        try:
-            self.made()
-        except InputError as error:
-            raise ValueError(str(error)) from None
-        return self
 
     def made(self) -> Soil:
         """The soil.

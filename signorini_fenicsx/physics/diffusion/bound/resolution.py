@@ -31,6 +31,7 @@ from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.products import SMALLEST
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.simplices import Polynomial, Quadratic
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric, facet_constants
@@ -41,12 +42,9 @@ EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""
 MUCH = 0.5
 """If enclosures add more than this share of the bound, data are not resolved."""
-SHARE = 0.02
-"""Enclosures stop where their uncertainty is about this share of the error."""
-QUANTUM = 1e-6
-"""Loads that return are rounded to about this share of the largest."""
-SMALLEST = 1e-100
-"""Tolerances are at least this."""
+SHARE, QUANTUM = 0.02, 1e-6
+"""Enclosures stop where their uncertainty is about the first share of the error; loads that return are rounded to about
+the second share of the largest."""
 
 
 @dataclass(frozen=True)
