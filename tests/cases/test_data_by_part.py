@@ -14,18 +14,18 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 BY_PART = """
-[geometry]
-shape = "square"
-mesh = "structured"
-[boundary]
-neumann = ["top", "right"]
-signorini = ["bottom"]
 [problem]
 f = "2 - 10*x"
 u_D = {left = "y/5"}
 g_N = {right = "-0.3*y"}
 psi = {bottom = "-x/20"}
 q_S = 0.05
+[boundary]
+neumann = ["top", "right"]
+signorini = ["bottom"]
+[geometry]
+shape = "square"
+mesh = "structured"
 [solve]
 h = 0.3
 """

@@ -12,15 +12,8 @@ from fuzzing.expressions import check_enclosures, interval_and_gradient, outcome
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import reference_coordinate
-from signorini_fenicsx.expressions.evaluation import (
-    decided,
-    difference,
-    interval,
-    linear_terms,
-    rational,
-    values,
-    values_and_gradient,
-)
+from signorini_fenicsx.expressions import evaluation
+from signorini_fenicsx.expressions.evaluation import interval, values, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.tree import exactly, polynomial_degree, substituted
@@ -255,7 +248,7 @@ def test_polynomials():
     ],
 )
 def test_differences_without_common_summands(left: str, right: str, rest: str):
-    assert difference(read(left, "xy"), read(right, "xy")) == read(rest, "xy")
+    assert evaluation.difference(read(left, "xy"), read(right, "xy")) == read(rest, "xy")
 
 
 @pytest.mark.parametrize(
@@ -274,10 +267,13 @@ def test_linear_terms(text: str, number: int):
     x = np.random.default_rng(1).uniform(0.1, 1, (9, 2))
     for t in (0.3, 0.7):
         tree = substituted(read(text, "xyt"), "t", exactly(t))
-        terms = linear_terms(tree)
+        terms = evaluation.linear_terms(tree)
         assert len(terms) == number
         np.testing.assert_allclose(sum(factor * values(term, x) for factor, term in terms), values(tree, x), rtol=1e-13)
-    same = [{term for _, term in linear_terms(substituted(read(text, "xyt"), "t", exactly(t)))} for t in (0.3, 0.7)]
+    same = [
+        {term for _, term in evaluation.linear_terms(substituted(read(text, "xyt"), "t", exactly(t)))}
+        for t in (0.3, 0.7)
+    ]
     assert (same[0] == same[1]) == (text not in {"x*(t*y)/3 - (x^t - 1)", "(1 + t*x)*y", "2*x if t < 1 else y"})
 
 
@@ -295,7 +291,7 @@ def test_linear_terms(text: str, number: int):
 )
 def test_choices_that_a_box_decides(text: str, rest: str):
     box = {"x": Interval(np.array(14.0), np.array(16.0)), "y": Interval(np.array(0.0), np.array(0.5))}
-    assert decided(read(text, "xy"), box) == read(rest, "xy")
+    assert evaluation.decided(read(text, "xy"), box) == read(rest, "xy")
 
 
 def test_abs_of_abs_ends():
@@ -324,10 +320,10 @@ def test_what_is_no_arithmetic_is_shown(text: str, where: str):
 def test_fractions():
     """Exact values of what is written with + − * / and decimal numbers, and of nothing else."""
     x = np.array([[Fraction(1, 3), Fraction(2)], [Fraction(0.5), Fraction(0)]])
-    found = rational(read("0.1 + 0.2*y/(2*x)^2 - 3e-1 + 1e-30", "xy"), x)
+    found = evaluation.rational(read("0.1 + 0.2*y/(2*x)^2 - 3e-1 + 1e-30", "xy"), x)
     assert found.tolist() == [Fraction(7, 10) + Fraction(1, 10**30), Fraction(-1, 5) + Fraction(1, 10**30)]
-    assert rational(exactly(0.1), x).tolist() == [Fraction(0.1)] * 2
+    assert evaluation.rational(exactly(0.1), x).tolist() == [Fraction(0.1)] * 2
     for text in ("pi", "sqrt(2)", "2^0.5", "1 if x > 0 else 2", "1/y", "1e-999", "1^1e9", "(x^1000)^1000"):
-        assert rational(read(text, "xy"), x) is None
-    assert difference(read("0.1", "x"), read("0.1", "x")) == exactly(0.0)
-    assert difference(read("0.1", "x"), read("0.10000000000000000001", "x")) != exactly(0.0)
+        assert evaluation.rational(read(text, "xy"), x) is None
+    assert evaluation.difference(read("0.1", "x"), read("0.1", "x")) == exactly(0.0)
+    assert evaluation.difference(read("0.1", "x"), read("0.10000000000000000001", "x")) != exactly(0.0)

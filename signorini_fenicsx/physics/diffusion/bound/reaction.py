@@ -172,10 +172,9 @@ SQUARE = 8
 """Degree of (pv)² for two quadratics."""
 
 
-SAME = 1e-12
-"""v is the quadratic beside Γ_D and Γ_S, too, if it differs by no more than this share."""
-ROUNDING = 1e-9
-"""A c < 0 of this size, relative to the largest c, counts as rounding."""
+SAME, ROUNDING = 1e-12, 1e-9
+"""v is the quadratic beside Γ_D and Γ_S, too, if it differs by no more than the first share; a c < 0 of the size of the
+second, relative to the largest c, counts as rounding."""
 
 
 @dataclass(frozen=True)
