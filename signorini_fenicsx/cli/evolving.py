@@ -34,9 +34,8 @@ MOST_BEFORE = 2
 """Steps before a step that its bound needs: after a restart these are done again."""
 TRUST = ("guaranteed", "relies_on", "bound_is")
 """What `largest` has that is no number."""
-
-
-OWN = "to the exact solution of the step's own problem"
+OF_STEP = "to the exact solution of the step's own problem"
+"""What the bounds of steps are of, if their physics says nothing else."""
 
 
 class EvolutionReport(CaseReport):
@@ -78,7 +77,7 @@ class EvolutionReport(CaseReport):
             lines["errors"] = f"at the end {named(summary['errors'], '.4e')}"
         if certified:
             lines["certified"] = (
-                f"each bound is that of the distance {about['largest']['bound_is'] or OWN}{last.after}"
+                f"each bound is that of the distance {about['largest']['bound_is'] or OF_STEP}{last.after}"
                 + _reservation(about["largest"])
             )
         lines |= {name: f"at the end {interval(quantity)}" for name, quantity in quantities.items()}

@@ -120,7 +120,7 @@ def _is_in_time(
 
 
 def _refuse_lacking(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:
-    """Refuse options that there are not for a method, or in a small installation.
+    """Refuse options that a method does not have, or a small installation.
 
     Raises:
         InputError: If one is given.

@@ -109,7 +109,7 @@ class System:
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
         constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
-        in_cells = bool(data.inside)
+        in_cells = bool(data.inside)  # then the cells are sites too
         made_for = options.backend, linear, options.tuning, in_cells
         task: Any = (LinearTask if linear else DiffusionTask)(
             spaces=spaces,
@@ -121,7 +121,6 @@ class System:
                 data.chains.corners, spaces.mesh.comm.allreduce(len(spaces.site_kinds["facet"])), in_cells=in_cells
             ),
             on_step=wish.on_step,
-            # with laws in Ω the cells are sites too
             backend=partial(self.kept.take, made_for, partial(_backend, options)),
             start=wish.start,
             alone=_alone,
