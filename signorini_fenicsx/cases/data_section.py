@@ -1,6 +1,6 @@
 """Sections of case files that follow the fields of a dataclass: a new datum of a problem needs no change here."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from types import NoneType
 from typing import Any, ClassVar, get_args, get_type_hints
@@ -14,13 +14,20 @@ from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionB
 from signorini_fenicsx.contact.law import VERTICAL
 from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix, GivenVectorByRegion
 
-READERS: dict[object, Any] = {
+PLAIN: dict[object, Any] = {
+    str: str,
+    Sequence[str]: list[str],
+    Sequence[float]: list[float],
+    str | Sequence[str]: str | list[str],
+}
+"""How a case file has data of these types, which are no expressions."""
+READERS: dict[object, Any] = PLAIN | {
     Given: Expression,
     GivenByRegion: ExpressionByRegion,
     GivenMatrix: Conductivity,
     GivenVectorByRegion: VectorByPart,
 }
-"""How a case file has data of these types."""
+"""The same of all types."""
 
 
 class DataSection(Section):
@@ -85,7 +92,7 @@ def data_section(
     Args:
         kind: The dataclass.
         readers: Pydantic's types by the types of fields; None as well is allowed where a field may be None.
-        words: Keys whose values are no expressions.
+        words: Keys whose values are no expressions, besides those of types in `PLAIN`.
         own: Pydantic's types of single keys, or None for those that other sections have.
     """
     hints = get_type_hints(kind)
@@ -95,6 +102,7 @@ def data_section(
             hint = hints[field.name]
             one, *others = get_args(hint) if NoneType in get_args(hint) else (hint,)
             keys[field.name] = (readers[one] | None if others else readers[one]), _default(field)
+            words = (*words, field.name) if one in PLAIN else words
         elif own[field.name] is not None:
             keys[field.name] = own[field.name], _default(field)
     section = create_model(f"{kind.__name__}Section", __base__=DataSection, **keys)

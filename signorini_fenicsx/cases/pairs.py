@@ -20,11 +20,8 @@ OF_LAWS = READERS | {
     Given: Expression,
     Given | Literal["vertical"]: Expression,
     Sequence[tuple[Given, Given]]: Entries,
-    Sequence[str]: list[str],
 }
-OF_KIND = {
-    name: data_section(kind, OF_LAWS, words=("names",), **dict.fromkeys(NO_DATA)) for name, kind in KINDS.items()
-}
+OF_KIND = {name: data_section(kind, OF_LAWS, (), **dict.fromkeys(NO_DATA)) for name, kind in KINDS.items()}
 """The data of each kind of law as text in x, y, z."""
 
 

@@ -1,24 +1,21 @@
 """`[[quantity]]`: a number that `solve` proves from both sides."""
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.data_section import READERS, KindSection, data_section
+from signorini_fenicsx.cases.data_section import KindSection, data_section
 from signorini_fenicsx.cases.plot import Word, with_unit
 from signorini_fenicsx.cases.values import choice
 from signorini_fenicsx.expressions.given import negative
 from signorini_fenicsx.quantities.kinds import KINDS, Kind
 
-OF_QUANTITIES = READERS | {str | Sequence[str]: str | list[str], Sequence[float]: list[float]}
 SIGNED = ("integral", "flux")
 """Those with a sign: the physical flux may be −κ∇u, and u minus what is meant."""
 AT_ONCE = ("energy", "dissipation")
 """Those whose interval follows from the solution and its bound; others take problems beside it."""
-NO_TEXTS = ("region", "parts", "direction")
-OF_KIND = {name: data_section(kind, OF_QUANTITIES, NO_TEXTS) for name, kind in KINDS.items()}
+OF_KIND = {name: data_section(kind) for name, kind in KINDS.items()}
 
 
 class QuantityTexts(KindSection):

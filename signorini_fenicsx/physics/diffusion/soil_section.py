@@ -3,27 +3,22 @@
 from collections.abc import Mapping
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
+from signorini_fenicsx.cases.data_section import data_section
 from signorini_fenicsx.cases.parts import Description
-from signorini_fenicsx.cases.values import Positive, choice, number
+from signorini_fenicsx.cases.values import choice, number
 from signorini_fenicsx.contact.law import EVERYWHERE
 from signorini_fenicsx.physics.diffusion.soils import SOILS, Soil
 
-type NotNegative = Annotated[float, BeforeValidator(number), Field(ge=0, allow_inf_nan=False)]
+NUMBERS = data_section(Soil, {float: Annotated[float, BeforeValidator(number), Field(allow_inf_nan=False)]})
 
 
-class SoilTexts(Description):
+class SoilTexts(NUMBERS, Description):  # type: ignore[misc, valid-type]
     """One soil, see `soils.Soil`."""
 
+    model_config = ConfigDict(validate_default=True)
     model: Annotated[str, choice("model", tuple(SOILS))]
-    K: Positive
-    alpha: Positive
-    n: Positive | None = None
-    theta_r: NotNegative = 0.0
-    theta_s: Positive = 1.0
-    specific_storage: NotNegative = 0.0
-    air_entry: NotNegative = 0.0
 
     def made(self) -> Soil:
         """The soil.

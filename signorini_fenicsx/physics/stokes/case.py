@@ -9,7 +9,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import CaseFile, Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
-from signorini_fenicsx.cases.pairs import OF_KIND, OF_LAWS
+from signorini_fenicsx.cases.pairs import OF_LAWS
 from signorini_fenicsx.cases.parts import PartLists
 from signorini_fenicsx.cases.plot import OF_FLOWS
 from signorini_fenicsx.cases.values import (
@@ -21,7 +21,7 @@ from signorini_fenicsx.cases.values import (
     choice,
 )
 from signorini_fenicsx.contact.law import NO_DATA, Law
-from signorini_fenicsx.contact.laws import LAWS, Corners
+from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
 from signorini_fenicsx.physics.elasticity.solving import rule_of
 from signorini_fenicsx.physics.stokes.problem import INSIDE, Leak, Outflow, Slip, StokesProblem, of_laws, velocities
@@ -35,7 +35,7 @@ OF_DATA = OF_LAWS | {
     GivenByPart: ExpressionByPart,
     GivenViscosity: ExpressionByRegion,
 }
-KINDS: Mapping[str, type] = {"outflow": Outflow, "slip": Slip, "leak": Leak, Corners.word: LAWS[Corners.word]}
+KINDS: Mapping[str, type] = {kind.word: kind for kind in (Outflow, Slip, Leak, Corners)}
 
 
 class FlowParts(PartLists):
@@ -51,10 +51,7 @@ class FlowLaw(KindSection):
 
     word = "law"
     of_kind: ClassVar[Mapping[str, type[DataSection]]] = {
-        "outflow": data_section(Outflow, OF_LAWS, ("tangential",), tangential=str, **dict.fromkeys(NO_DATA)),
-        "slip": data_section(Slip, OF_DATA, parts=None, side=None),
-        "leak": data_section(Leak, OF_LAWS, (), **dict.fromkeys(NO_DATA)),
-        Corners.word: OF_KIND[Corners.word],
+        word: data_section(kind, OF_DATA, (), **dict.fromkeys(NO_DATA)) for word, kind in KINDS.items()
     }
     kind: Annotated[str, choice("law of viscous flow", tuple(KINDS))]
     parts: list[str] = Field(min_length=1)
@@ -92,7 +89,7 @@ class StokesCase(CaseFile):
     law: Annotated[list[FlowLaw], Field(default=[], exclude_if=lambda laws: not laws)]
     exact: FlowExact = FlowExact()
     plot_keys = OF_FLOWS
-    first_words = ("outflow", "slip", "leak", SYMMETRIC)
+    first_words = (*(word for word in KINDS if word != Corners.word), SYMMETRIC)
     first_listed = ("",)
     first_data = (
         ("viscosity = 1", "the viscosity", ""),

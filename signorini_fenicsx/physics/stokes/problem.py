@@ -103,6 +103,7 @@ class Slip(OnParts):
     beta: Given = 0.0
     velocity: GivenVector | None = None
     u_n: Given = 0.0
+    word: ClassVar[str] = "slip"
 
 
 @dataclass(frozen=True)
