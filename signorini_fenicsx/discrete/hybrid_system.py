@@ -178,6 +178,18 @@ def eliminate(
     )
 
 
+def responses(product: Array, number: int) -> tuple[Array, Array]:
+    """What units of the last fluxes of the basis, of this number, bring where û is 0.
+
+    Returns:
+        The coefficients of the fluxes of divergence 0, shape (cells, free, m), and S, where u = −S times the units.
+    """
+    free = product.shape[1] - number
+    coupled = product[:, free:, :free]
+    by_unit = -np.linalg.solve(product[:, :free, :free], coupled.transpose(0, 2, 1))
+    return by_unit, product[:, free:, free:] + coupled @ by_unit
+
+
 def _with_reaction(
     cells: npt.NDArray[np.int32],
     geometry: Any,
@@ -192,27 +204,26 @@ def _with_reaction(
     """`eliminate` with −(∇·σ, v) + (cu, v) = (f, v): the coefficients that ∇·σ gives depend on u.
 
     Without c they are b, and u = u_x x + u_0 − Sb with S from the fluxes that b brings. With c they are b + Cu, so that
-    u = (I + SC)⁻¹ (u_x x + u_0 − Sb). Where u is held they take the place of u among the unknowns z, with I for C.
+    u = (I + SC)⁻¹ (u_x x + u_0 − Sb), and they are (I + CS)⁻¹ (b + C(u_x x + u_0)): where S is large b + Cu would lose
+    digits. Where u is held they take the place of u among the unknowns z, with I for C.
     """
     free_u, right = ~held, np.where(held, 0.0, balance + np.einsum("nml,nl->nm", reaction, values))
     reaction = np.where(free_u[:, :, None] & free_u[:, None], reaction, held[:, :, None] * np.eye(held.shape[1]))
-    units, free = np.eye(balance.shape[1]), product.shape[1] - balance.shape[1]
+    units, (by_unit, compliance) = np.eye(balance.shape[1]), responses(product, balance.shape[1])
     without = eliminate(cells, geometry, tractions, product, np.zeros_like(balance), functional)
-    coupled = product[:, free:, :free]
-    by_unit = -np.linalg.solve(product[:, :free, :free], coupled.transpose(0, 2, 1))
     of_flux = np.concatenate([by_unit, np.broadcast_to(units, (len(balance), *units.shape))], axis=1)
-    compliance = product[:, free:, free:] + coupled @ by_unit  # S
     moved = np.linalg.inv(free_u[:, :, None] * units + compliance @ reaction)
-    z = moved @ without.u
-    z_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - values - np.einsum("nml,nl->nm", compliance, right))
-    given = right + np.einsum("nml,nl->nm", reaction, z_of_f)
-    matrix = without.matrix + without.u.transpose(0, 2, 1) @ reaction @ z
+    z, off = moved @ without.u, without.u_of_f - values
+    z_of_f = np.einsum("nml,nl->nm", moved, off - np.einsum("nml,nl->nm", compliance, right))
+    given = np.einsum("nlm,nl->nm", moved, right + np.einsum("nml,nl->nm", reaction, off))
+    by_x = moved.transpose(0, 2, 1) @ reaction @ without.u
+    matrix = without.matrix + without.u.transpose(0, 2, 1) @ by_x
     return Eliminated(
         cells=cells,
         geometry=geometry,
         matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
         load=without.load - np.einsum("nmi,nm->ni", without.u, given),
-        flux=np.pad(without.flux, ((0, 0), (0, units.shape[0]), (0, 0))) + of_flux @ (reaction @ z),
+        flux=np.pad(without.flux, ((0, 0), (0, units.shape[0]), (0, 0))) + of_flux @ by_x,
         flux_of_f=without.flux_of_f + np.einsum("nbm,nm->nb", of_flux, given),
         u=free_u[:, :, None] * z,
         u_of_f=np.where(held, values, z_of_f),

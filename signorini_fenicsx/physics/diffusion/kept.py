@@ -5,8 +5,10 @@ cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T).
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import function_of
@@ -20,7 +22,7 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import linear_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, linear_spaces
-from signorini_fenicsx.physics.diffusion.discrete.storing import WaterBefore
+from signorini_fenicsx.physics.diffusion.discrete.storing import WaterBefore, in_places
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -70,7 +72,7 @@ def _in_cells(solution: Solution) -> Arrays:
     if solution.data.quasilinear is not None:
         kappa = solution.data.kappa_values
         rows |= {"kappa_at": kappa} if solution.spaces.degree else {"kappa": kappa[:, 0]}
-        rows |= {} if solution.data.stored is None else {"storing": solution.data.stored[0]}
+        rows |= {} if solution.data.stored is None else {"storing": solution.data.stored[0][:, 0]}
     return rows | ({} if memory is None else {"memory": solution.data.means_of_memory})
 
 
@@ -102,9 +104,7 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     sigma, u = spaces.flux(stored.in_cells(spaces, "sigma_at")), spaces.scalar(stored.in_cells(spaces, "u_at"))
     p_means, condition = stored.on_facets(spaces.mesh.comm, "means_at", "condition_at")
     memory = spaces.scalar(stored.in_cells(spaces, "memory_at")) if in_time else None
-    data = linear_data(spaces, project_data(on_mesh, problem).after(memory))
-    if data.quasilinear is not None:
-        data = data.with_kappa(spaces, stored.in_cells(spaces, "kappa_at"))
+    data = _as_left(linear_data(spaces, project_data(on_mesh, problem)), spaces, memory, stored)
     means = p_means.ravel()
     flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
     law = data.laws_at.chains.with_penalty(options.method.penalty, options.eps)
@@ -128,6 +128,22 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     )
 
 
+def _as_left(data: Any, spaces: Any, memory: fem.Function | None, stored: Stored) -> Any:
+    """The data as a solution has left them: with what a step took from those before, and the κ found (collective)."""
+    soils = None
+    if memory is not None and "storing" in stored.arrays:
+        taken = in_places(spaces, spaces.scalar_values(memory))
+        soils = np.broadcast_to(stored.in_cells(spaces, "storing")[:, None], taken.shape), taken
+        u = stored.in_cells(spaces, "u_at" if spaces.degree else "u")
+        data = data.after(WaterBefore(spaces.scalar(0 * u), data.quasilinear.traces_of_values(u)))
+    else:
+        data = data.after(memory)
+    if data.quasilinear is None:
+        return data
+    name = "kappa_at" if spaces.degree else "kappa"
+    return data.with_kappa(spaces, stored.in_cells(spaces, name).reshape(data.kappa_values.shape), soils)
+
+
 def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     options, mesh = stored.options, spaces.mesh
     if options.element == "RT1" or spaces.joints:
@@ -143,17 +159,8 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
         if "facet_remembered" not in stored.arrays:
             raise InputError("not a readable solution (it holds no facet_remembered)")
         problem = replace(problem, laws=remembered.in_step(problem.laws, *stored.on_facets(mesh.comm, "remembered")))
-    data = project_data(spaces, problem)
-    soils = None
-    if stored.step is not None:
-        memory = stored.in_cells(spaces, "memory")
-        if "storing" in stored.arrays:
-            soils = stored.in_cells(spaces, "storing"), memory
-            data = data.after(WaterBefore(function_of(spaces.Q, 0 * means), means[:, None]))
-        else:
-            data = data.after(function_of(spaces.Q, memory, "memory"))
-    if data.quasilinear is not None:
-        data = data.with_kappa(spaces, stored.in_cells(spaces, "kappa")[:, None], soils)
+    memory = None if stored.step is None else spaces.scalar(stored.in_cells(spaces, "memory"))
+    data = _as_left(project_data(spaces, problem), spaces, memory, stored)
     trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
     iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u)

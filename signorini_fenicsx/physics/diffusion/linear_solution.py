@@ -43,8 +43,8 @@ class LinearSolution(Solution):
 
     def of_problem(self, problem: Problem) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
-        data = project_data(self.spaces, problem).after(self.data.memory)
-        return replace(self, problem=problem, data=linear_data(self.spaces, data))
+        data = linear_data(self.spaces, project_data(self.spaces, problem)).after(self.data.memory)
+        return replace(self, problem=problem, data=data)
 
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, see `linearised.Linearised` (collective).

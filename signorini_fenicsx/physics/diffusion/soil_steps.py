@@ -11,15 +11,17 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.expressions import exactly
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import quasilinear_of
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, WaterBefore
-from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps, Left, instead_of_rt1
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, WaterBefore, from_places, in_places
+from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps, Left
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.evolution import Evolution, Past
@@ -48,7 +50,6 @@ class SoilSteps(DiffusionSteps):
         c = problem.in_time(spaces.mesh.geometry.dim).c
         for present, what, instead in (
             (evolution.capacity is not None, "[time] capacity: soils say what is stored", "leave it out"),
-            (spaces.degree > 0, "element: there is no RT1 for soils in time", instead_of_rt1(spaces)),
             (problem.has_laws_inside, "[time]: with soils there are no laws in Ω", "leave out the law or the obstacle"),
             (c != exactly(0), "[problem] c: with soils in time there is none", "leave it out"),
         ):
@@ -63,16 +64,25 @@ class SoilSteps(DiffusionSteps):
         Raises:
             InputError: If they are not finite, or of no usable size.
         """
-        u = self._means("initial", self.initial)
-        traces = np.repeat(u[:, None], self.spaces.mesh.topology.dim + 1, axis=1)
-        return Wet(self._content(u, self._of_u.content(u)[0]), super().start().columns, traces)
+        u, spaces = self._means("initial", self.initial), self.spaces
+        if isinstance(spaces, LinearSpaces):
+            u = projected(spaces, self.initial)
+        theta, columns = (
+            self._of_u.content(in_places(spaces, u))[0],
+            self.remembered.start(self._evolution.time(1), self._before),
+        )
+        return Wet(self._stored(theta), columns, self._of_u.traces_of_values(u))
+
+    def _stored(self, theta: Array) -> fem.Function:
+        """The content, from θ in the places of the owned cells (collective)."""
+        return self.spaces.scalar(from_places(self.spaces, theta))
 
     def left_by(self, solution: Solution) -> Wet:
         """θ and û (collective)."""
-        return Wet(**vars(super().left_by(solution)), traces=_storing(solution).traces)
+        return Wet(self._stored(self.theta(solution)), self._columns(solution), _storing(solution).traces)
 
     def theta(self, solution: Solution) -> Array:
-        """The θ that the balance of a step has, per owned cell."""
+        """The θ that the balance of a step has, in the places of the owned cells, see `storing`."""
         stored = solution.data.stored
         assert stored is not None
         return _storing(solution).left(solution.u_values, *stored)
@@ -83,8 +93,9 @@ class SoilSteps(DiffusionSteps):
         The error of mass is what the content has grown less what flowed in, or more, beside all that flowed.
         """
         storing, measures, done = _storing(solution), self.spaces.cell_measures, earlier or {}
-        theta, flow = self.theta(solution), np.append(solution.cell_flux.leaving[self._outer], measures * storing.f)
-        stored = measures @ (storing.rate * theta - storing.before)
+        theta, f, before = (each.mean(axis=1) for each in (self.theta(solution), storing.f, storing.before))
+        flow = np.append(solution.cell_flux.leaving[self._outer], measures * f)
+        stored = measures @ (storing.rate * theta - before)
         sums = np.array([measures @ theta, stored, flow.sum(), np.abs(flow).sum()])
         content, stored, inflow, gross = self.spaces.mesh.comm.allreduce(sums).tolist()
         whole, details = max(abs(stored), gross), solution.outcome.details
@@ -122,7 +133,7 @@ class SoilSteps(DiffusionSteps):
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
         earlier = range(step, max(step - 2, 0), -1)
         past = super().again(step, kept)
-        contents = [self.spaces.scalar(kept(each, "theta").ravel()) for each in earlier]
+        contents = [self._stored(kept(each, "theta").reshape(len(self.capacity), -1)) for each in earlier]
         left = [
             Wet(content, one.columns, kept(each, "traces"))
             for content, one, each in zip(contents, past.left, earlier, strict=True)

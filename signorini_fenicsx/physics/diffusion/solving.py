@@ -98,7 +98,7 @@ class System:
         options = wish.options
         linear = self._linear(options)
         _check_same(self.boundary, problem.boundary)
-        data: Any = project_data(spaces, problem, self._known).after(wish.memory)
+        data: Any = project_data(spaces, problem, self._known)
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
         if linear:
@@ -107,6 +107,8 @@ class System:
                 instead = "pairs take alg1 to alg4 and vi" if self.boundary.pairs else "take RT0"
                 raise InputError(f"element: {lacking}; {instead}")
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
+        data = data.after(wish.memory)
+        check_solvability(spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
         constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
         in_cells = bool(data.inside)  # then the cells are sites too
@@ -380,7 +382,6 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
         raise InputError("[problem] kappa: one that depends on u takes alg1 or alg2 with the hybrid backend")
     if data.b is not None and method.rule is None:
         raise InputError("[problem] b: a given flux takes alg1 to alg4")
-    check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
     if spaces.several and not method.takes_inner:

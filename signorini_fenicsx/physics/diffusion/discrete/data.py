@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, check_kind
-from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values, set_owned
+from signorini_fenicsx.base.owned import owned_cells, owned_values, set_owned
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.bodies import spread
 from signorini_fenicsx.discrete.data_values import (
@@ -29,9 +29,9 @@ from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows
-from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux, b_of
+from signorini_fenicsx.physics.diffusion.discrete.added_flux import b_of
 from signorini_fenicsx.physics.diffusion.discrete.boundary_laws import BoundaryLaws, boundary_laws
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, means_in_cells
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws, cell_laws, with_reactions
 from signorini_fenicsx.physics.diffusion.discrete.coefficients import (
     cell_means,
@@ -39,29 +39,24 @@ from signorini_fenicsx.physics.diffusion.discrete.coefficients import (
     mean_eigenvalues,
     reaction,
 )
-from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells, Quasilinear, depends_on_u, quasilinear_of
+from signorini_fenicsx.physics.diffusion.discrete.data_of_u import DataOfU
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import depends_on_u, quasilinear_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, WaterBefore
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
 
-@dataclass(frozen=True)
-class Data:
+@dataclass(frozen=True, kw_only=True)
+class Data(DataOfU):
     """The data on a mesh. Functions hold owned and up-to-date ghost values.
 
     The lifts turn the problem into one for u − u_lift and σ − σ_lift with homogeneous conditions on the boundary.
 
     Attributes:
         f: Load as given.
-        kappa: κ as given; where it depends on u, that of the last solve.
         u_D: Dirichlet data as given.
         g_N: Flux on Γ_N as given.
         psi: Bound of the trace as given, where no other law holds.
         q_S: Bound of the flux as given, where no other law holds.
-        c: c as given.
-        f_h: P0 projection of f.
-        kappa_h: P0 projection of κ, entry by entry; a `fem.Constant` if κ is a number, which no form is compiled for.
-        c_h: P0 projection of c; None if it is 0 everywhere.
         u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
             others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
         sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
@@ -70,43 +65,26 @@ class Data:
         q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
         laws: The laws on Γ_S.
         inside: The laws in Ω but for reactions, which are in c.
-        conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
         total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
             same with the largest flux, often ∞; less the s that laws in Ω allow. Exactly 0 if it is only rounding.
         exact: The exact u, where it is known.
-        memory: What the step of a problem in time takes from those before, in the space of u; its means are a part of
-            f_h, but not of f.
-        trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
-            of regions has names such as "kappa.core".
         given: The constants and functions in the data, with the values that they had.
-        quasilinear: κ as a function of u; None if it does not depend on u.
-        b: The given flux in σ = κ∇u + b; None for none.
     """
 
     f: Datum
-    kappa: Datum
     u_D: Datum
     g_N: Datum
     psi: Datum
     q_S: Datum
-    c: Datum
-    f_h: fem.Function
-    kappa_h: fem.Function | fem.Constant
-    c_h: fem.Function | None
     u_lift: fem.Function
     sigma_lift: fem.Function
     psi_h: Array
     q_Sh: Array
     laws: BoundaryLaws
     inside: CellLaws
-    conductance: float
     total_load: tuple[float, float]
     exact: Datum | None
-    trees: Mapping[str, Tree | Rows]
-    memory: fem.Function | None = None
     given: Values = ()
-    quasilinear: Quasilinear | None = None
-    b: AddedFlux | None = None
 
     @property
     def chains(self) -> Chains:
@@ -126,113 +104,14 @@ class Data:
             same = same and np.array_equal(self.c_h.x.array, other.c_h.x.array)
         return bool(spaces.mesh.comm.allreduce(same, MPI.LAND))
 
-    def with_kappa(self, spaces: Spaces, values: Array, stored: tuple[Array, Array] | None = None) -> Self:
-        """The data with another κ, by its values on each owned cell, see `Quasilinear` (collective).
-
-        In a step in time what soils store is cu − load, with these two on the owned cells: c is that of the data, and
-        the load is a part of `memory`.
-
-        Raises:
-            InputError: If κ is not positive.
-        """
-        comm = spaces.mesh.comm
-        usable = np.where(values < np.inf, values, -np.inf)  # NaN is not
-        least = comm.allreduce(float(usable.min(initial=np.inf)), MPI.MIN)
-        if not least > 0:
-            raise InputError(f"[problem] kappa: must be positive; for a u that occurs it is {least:.3g}")
-        means = values.mean(axis=1)
-        kappa_h = function_of(spaces.Q, means, "kappa_h")
-        function = kappa_h if values.shape[1] == 1 else spaces.scalar(values)
-        integral = comm.allreduce(float(spaces.cell_measures @ means))
-        conductance = integral / spaces.length ** (spaces.mesh.geometry.dim + 1)
-        data = replace(self, kappa=OnCells(function, values), kappa_h=kappa_h, conductance=conductance)
-        return data if stored is None else data._storing(spaces, *stored)
-
-    def _storing(self, spaces: Spaces, c: Array, load: Array) -> Self:
-        """The data with what soils store (collective)."""
-        of_u = self.quasilinear
-        assert of_u is not None
-        assert of_u.storing is not None
-        memory, c_h = of_u.storing.before + load, function_of(spaces.Q, c, "c_h")
-        f_h = function_of(spaces.Q, of_u.storing.f + memory - of_u.constant * c, "f_h")
-        stores = spaces.mesh.comm.allreduce(bool(c.any()), MPI.LOR)
-        return replace(
-            self,
-            c=OnCells(c_h, c[:, None]),
-            c_h=c_h if stores else None,
-            f_h=f_h,
-            memory=function_of(spaces.Q, memory, "memory"),
-            trees={name: tree for name, tree in self.trees.items() if name != "c"},
-        )
-
-    def at_traces(self, spaces: Spaces, traces: Array) -> Self:
-        """The data with the κ of û on the facets of the owned cells, and with what is stored then (collective).
-
-        Raises:
-            InputError: If κ is not positive.
-        """
-        of_u = self.quasilinear
-        assert of_u is not None
-        return self.with_stored(spaces, of_u.of_traces(traces)[0], traces)
-
-    def with_stored(self, spaces: Spaces, kappa: Array, traces: Array) -> Self:
-        """The data with this κ, and with what is stored for û on the facets of the owned cells (collective).
-
-        Raises:
-            InputError: If κ is not positive.
-        """
-        data, of_u = self.with_kappa(spaces, kappa), self.quasilinear
-        if of_u is None or of_u.storing is None:
-            return data
-        z = data.jumps(spaces)
-        means = (traces if z is None else traces + z).mean(axis=1) + of_u.constant
-        return data._storing(spaces, *of_u.storing.linear(means, kappa.mean(axis=1)))
-
-    @property
-    def stored(self) -> tuple[Array, Array] | None:
-        """What soils store, see `with_kappa`; None if that is nothing."""
-        if self.quasilinear is None or self.quasilinear.storing is None:
-            return None
-        assert isinstance(self.c, OnCells)
-        return self.c.on_cells[:, 0], self.means_of_memory - self.quasilinear.storing.before
-
     def like(self, other: Data, spaces: Spaces) -> Data:
         """The data with the memory of others and, where κ depends on u, the κ found with these (collective)."""
         data = self.after(other.memory)
         return data if data.quasilinear is None else data.with_kappa(spaces, other.kappa_values)
 
-    @property
-    def kappa_values(self) -> Array:
-        """Where κ depends on u its values on each owned cell, see `with_kappa`."""
-        assert isinstance(self.kappa, OnCells)
-        return self.kappa.on_cells
-
     def holds(self, spaces: Spaces) -> bool:
         """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
         return spaces.has_dirichlet or self.c_h is not None
-
-    def after(self, memory: fem.Function | WaterBefore | None) -> Data:
-        """The data of a step of a problem in time, with what it takes from those before; None for nothing."""
-        if memory is None:
-            return self
-        if isinstance(memory, WaterBefore):
-            of_u, before = self.quasilinear, owned_values(memory.content)
-            assert of_u is not None
-            storing = Storing(of_u.spaces, of_u.content, memory.rate, owned_values(self.f_h), before, memory.traces)
-            data = replace(self, quasilinear=replace(of_u, storing=storing))
-            return data.at_traces(of_u.spaces, memory.traces)
-        f_h = function_of(self.f_h.function_space, owned_values(self.f_h) + means_in_cells(memory), "f_h")
-        return replace(self, f_h=f_h, memory=memory)
-
-    @property
-    def means_of_f(self) -> Array:
-        """The mean of f on each owned cell: f_h without `memory`."""
-        return owned_values(self.f_h) - self.means_of_memory
-
-    @property
-    def means_of_memory(self) -> Array:
-        """The mean of `memory` on each owned cell, 0 without it."""
-        return np.zeros_like(owned_values(self.f_h)) if self.memory is None else means_in_cells(self.memory)
 
     def source(self, u: fem.Function) -> fem.Function:
         """f_h − c_h u for u in P0, which is −∇·σ_h; f_h itself where c = 0."""
@@ -241,6 +120,10 @@ class Data:
         source = self.f_h.copy()
         source.x.array[:] -= self.c_h.x.array * u.x.array
         return source
+
+    def mean_sources(self, _spaces: Any, u: fem.Function) -> Array:
+        """The mean of f − cu on each owned cell as the balance has it, for the u of a solution (collective)."""
+        return owned_values(self.source(u))
 
     def matrices(self, spaces: Spaces) -> Array:
         """κ_h as a matrix on each owned cell, shape (cells, dim, dim), or (1, dim, dim) if κ is a number."""
@@ -253,6 +136,14 @@ class Data:
     def jumps(self, spaces: Spaces) -> Array | None:
         """What stands for b in the first equation, see `AddedFlux.jumps` (collective)."""
         return None if self.b is None else self.b.jumps(self.matrices(spaces))
+
+    def _without_sources(self, spaces: Any, traces: Array) -> tuple[Array, Array]:
+        """See `DataOfU` (collective)."""
+        of_u, z = self.quasilinear, self.jumps(spaces)
+        assert of_u is not None
+        assert of_u.storing is not None
+        means = (traces if z is None else traces + z).mean(axis=1, keepdims=True)
+        return means, of_u.storing.moments / self.kappa_values[:, :, None]
 
     def driving(self, flux: CellFlux) -> CellFlux:
         """A flux less b: the κ∇u of σ (collective)."""

@@ -13,6 +13,7 @@ from signorini_fenicsx.base.arrays import AnyIndices, Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.hybrid_system import eliminate, responses
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, linear_values, means_of_linear
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
@@ -21,6 +22,7 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, order_number, reference
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.storing import hats_in_places
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +101,32 @@ class LinearData(Data):
 
     def reactions(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
         """(cφ_v, φ_w) for the hats of the vertices of cells; None if c = 0 (collective)."""
-        return None if self.c_h is None else _products(spaces, self.c, numbers, cells)
+        if self.c_h is None:
+            return None
+        if self.quasilinear is not None and self.quasilinear.storing is not None:
+            return self.quasilinear.storing.products(numbers)
+        return _products(spaces, self.c, numbers, cells)
+
+    def _projection_of_f(self, spaces: LinearSpaces) -> Array:
+        """Π₁f at the vertices of the owned cells (collective)."""
+        return projected(spaces, self.f)
+
+    def _without_sources(self, spaces: LinearSpaces, traces: Array) -> tuple[Array, Array]:
+        """See `Data` (collective)."""
+        element, hats = reference(spaces.dim), hats_in_places(spaces)
+        means, moments = np.empty((len(traces), len(hats))), np.empty((len(traces), len(hats), len(hats)))
+        for numbers in blocks_of_cells(spaces.mesh):
+            cells = Cells(spaces.vertices[numbers])
+            product, of_b = self.products(spaces, numbers, cells), self.of_b(spaces, numbers, cells)
+            if len(numbers) == 0:  # other ranks have more cells
+                continue
+            of_traces = (traces[numbers] @ element.tractions)[:, None]
+            none, compliance = np.zeros((len(numbers), len(hats))), responses(product, len(hats))[1]
+            block = eliminate(numbers, cells, of_traces, product, none, 0.0 if of_b is None else of_b)
+            means[numbers] = (block.u[:, :, 0] + block.u_of_f) @ hats.T
+            share = cells.measure[:, None, None] / len(hats)
+            moments[numbers] = share * (hats @ compliance @ hats.T)
+        return means, moments
 
     def moments_of_f(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
@@ -109,6 +136,17 @@ class LinearData(Data):
         if self.constant == 0 or (reactions := self.reactions(spaces, numbers, cells)) is None:
             return moments
         return moments - self.constant * reactions.sum(axis=2)
+
+    def mean_sources(self, spaces: LinearSpaces, u: fem.Function) -> Array:
+        """See `Data.mean_sources` (collective)."""
+        values, means = spaces.scalar_values(u), np.empty(len(spaces.order))
+        for numbers in blocks_of_cells(spaces.mesh):
+            cells = Cells(spaces.vertices[numbers])
+            moments, reactions = self.moments_of_f(spaces, numbers, cells), self.reactions(spaces, numbers, cells)
+            if reactions is not None:
+                moments -= _times(reactions, values[numbers])
+            means[numbers] = moments.sum(axis=1) / cells.measure
+        return means
 
     def in_cells(self, spaces: LinearSpaces, sigma: Array, u: Array) -> tuple[Array, Array]:
         """U less its reference and −s at the vertices of the owned cells, of fields as `FluxSystem` has them.

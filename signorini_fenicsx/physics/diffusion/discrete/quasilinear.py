@@ -25,7 +25,7 @@ from signorini_fenicsx.expressions import TREES, Tree, depends_on, values_and_gr
 from signorini_fenicsx.expressions.evaluation import interval
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
-from signorini_fenicsx.physics.diffusion.discrete.storing import Storing
+from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, hats_in_places
 from signorini_fenicsx.physics.diffusion.soils import FLOOR, FORMS, Soil
 
 type Curve = Callable[[Array, Array], tuple[Array, Array]]
@@ -133,11 +133,17 @@ class Quasilinear:
         """Where û is looked at, a u that is linear on the owned cells, by its values at vertices, less the constant."""
         if isinstance(self.spaces, LinearSpaces):
             u = np.take_along_axis(u, self.spaces.order, axis=1)
-        return np.asarray(u @ self._hats.T - self.constant)
+        return self.traces_of_values(u)
+
+    def traces_of_values(self, u: Array) -> Array:
+        """The same of a u on the owned cells as `Spaces.scalar` takes it."""
+        vertices = np.broadcast_to(u.reshape(len(u), -1), (len(u), self._hats.shape[1]))
+        return np.asarray(vertices @ self._hats.T - self.constant)
 
     def content(self, u: Array) -> tuple[Array, Array]:
-        """The water in a unit volume of soil and its derivative, with these u on the owned cells; 0 elsewhere."""
-        x, content, slope = corners(self.spaces.mesh).mean(axis=1), np.zeros(len(u)), np.zeros(len(u))
+        """The water in a unit volume of soil and its derivative, with these u in `places` of cells; 0 elsewhere."""
+        spaces, content, slope = self.spaces, np.zeros_like(u), np.zeros_like(u)
+        x = hats_in_places(spaces) @ (spaces.vertices if isinstance(spaces, LinearSpaces) else corners(spaces.mesh))
         head = self.head(x, u)
         for inside, soil in self.soils:
             content[inside], slope[inside] = soil.content(x[inside], head[inside])

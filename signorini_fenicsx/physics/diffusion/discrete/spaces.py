@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_of, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_of, owned_values, sums_at
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.sites import SiteKind, Sites
 from signorini_fenicsx.discrete.bernstein import exponents, interpolation
@@ -68,6 +68,10 @@ class Spaces(MeshSpaces):
     def scalar(self, values: Array) -> fem.Function:
         """The u with these values on the owned cells, of RT1 at their vertices (collective)."""
         return function_of(self.Q, values.ravel(), "u")
+
+    def scalar_values(self, u: fem.Function) -> Array:
+        """The values of such a function on the owned cells, of RT1 at their vertices."""
+        return owned_values(u)
 
     def normal_flux(self, sigma: fem.Function) -> Array:
         """σ·n per Γ_S facet, where it is constant."""

@@ -63,8 +63,7 @@ def balance(solution: Solution) -> dict[str, float]:
     """
     assert solution.water_kind is not None
     sign, spaces = solution.water_kind.inflow, solution.spaces
-    sources = solution.data.source(solution.u)
-    cells = means_in_cells(sources) + means_in_cells(solution.force())
+    cells = solution.data.mean_sources(spaces, solution.u) + means_in_cells(solution.force())
     inflow = sign * solution.flux_through()
     from_sources = sign * spaces.mesh.comm.allreduce(float(spaces.cell_measures @ cells))
     return {"inflow": inflow, "sources": from_sources, "left": inflow + from_sources}

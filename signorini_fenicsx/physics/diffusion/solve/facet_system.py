@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
@@ -14,13 +15,14 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, sums_at
 from signorini_fenicsx.contact.chains import SiteConditions
-from signorini_fenicsx.discrete.hybrid_system import Sides, TraceSystem, copies
+from signorini_fenicsx.discrete.hybrid_system import Sides, copies
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
 from signorini_fenicsx.linear.constrained_matrix import assemble_again
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.sources import sources
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.solve.soil_traces import SoilTraces
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Loads:
     forces: Array
 
 
-class FacetSystem(TraceSystem):
+class FacetSystem(SoilTraces):
     """The mixed method by its Crouzeix-Raviart form (see `forms/crouzeix_raviart.py`), which eliminates in closed form.
 
     It is assembled several times as fast as by the elimination of `HybridSystem`. Inside the domain the unknown of a
@@ -142,27 +144,20 @@ class FacetSystem(TraceSystem):
 
     def on_cells(self, x: PETSc.Vec) -> Array:
         """û on the facets of the owned cells, shape (cells, d + 1) (collective)."""
-        return self._traces_on_cells(self.with_lift(x))
+        return self.traces_on_cells(self.with_lift(x))
 
-    def _traces_on_cells(self, unknowns: Array) -> Array:
-        """û on the facets of the owned cells, from all unknowns of this rank with what is given (collective)."""
+    def traces_on_cells(self, unknowns: Array) -> Array:
+        """See `SoilTraces`, shape (cells, d + 1) (collective)."""
         return np.asarray(self.sides.values(unknowns)[self._dofs])
 
-    def unknowns_of(self, traces: Array) -> Array:
-        """The owned unknowns of this û on the facets of the owned cells, of u_D where that is given (collective)."""
-        sums, count = (sums_at(self._numbers, self._dofs, each) for each in (traces, np.ones_like(traces)))
-        owned = (sums / count - self.lift)[: len(self.load)]
-        owned[cells_and_dofs(self.spaces.crouzeix_raviart, self.spaces.dirichlet_facets)[1]] = 0.0
-        return self.sides.unknowns(owned)
+    def means_of_cells(self, traces: Array) -> Array:
+        """See `SoilTraces` (collective)."""
+        return sums_at(self._numbers, self._dofs, traces) / sums_at(self._numbers, self._dofs)
 
-    def limited(self, start: Array, x: Array) -> Array:
-        """These unknowns, or nearer ones to a start as far as soils allow, see `Soil.nearer` (collective)."""
-        of_u = self._data.quasilinear
-        assert of_u is not None
-        traces, wanted = (self._traces_on_cells(self.everywhere(each) + self.lift) for each in (start, x))
-        off = of_u.nearer(traces, wanted) - wanted
-        moved = sums_at(self._numbers, self._dofs, off) / sums_at(self._numbers, self._dofs)
-        return self.sides.unknowns(self.sides.values(x)[: len(x)] + moved[: len(x)])
+    @property
+    def fixed(self) -> npt.NDArray[np.int32]:
+        """See `SoilTraces`."""
+        return cells_and_dofs(self.spaces.crouzeix_raviart, self.spaces.dirichlet_facets)[1]
 
     def by_kappa(self, x: PETSc.Vec) -> Array:
         """The derivatives of ∫σ·n on the facets of each cell by its κ, shape (cells, d + 1, 1) (collective).
@@ -190,7 +185,7 @@ class FacetSystem(TraceSystem):
 
     def recover(self, x: Array) -> tuple[Array, Array]:
         """∫σ·n out of each owned cell through its facets, shape (cells, d + 1), and u_T (collective)."""
-        traces = self._traces_on_cells(x)
+        traces = self.traces_on_cells(x)
         u, y = self.sources.values(traces)
         return self._flow(traces if self._jumps is None else traces + self._jumps, y), u
 
@@ -214,7 +209,7 @@ class FacetSystem(TraceSystem):
             σ and u as `recover` gives them, and x.
         """
         x = solve(loads.forces - self._forces(self._through(loads.jumps, loads)[0]))
-        return *self._through(loads.jumps + self._traces_on_cells(x), loads), x
+        return *self._through(loads.jumps + self.traces_on_cells(x), loads), x
 
     def _through(self, values: Array, loads: Loads) -> tuple[Array, Array]:
         """∫σ·n out of each cell through each facet, and u_T, from u on the facets of each cell (collective)."""

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
 from signorini_fenicsx.discrete.linear_traces import (
@@ -21,9 +22,10 @@ from signorini_fenicsx.discrete.vertex_laws import InCells
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.solve.soil_traces import SoilTraces
 
 
-class FluxSystem(HybridSystem):
+class FluxSystem(SoilTraces, HybridSystem):
     """The hybrid system of RT1, assembled once.
 
     Attributes:
@@ -136,12 +138,28 @@ class FluxSystem(HybridSystem):
 
     def on_cells(self, x: PETSc.Vec) -> Array:
         """û at the vertices of the facets of the owned cells, shape (cells, (d + 1) d) (collective)."""
-        unknowns = self.sides.values(self.with_lift(x))
-        values = unknowns[self._unknowns(np.arange(len(self._dofs), dtype=np.int32))]
+        return self.traces_on_cells(self.with_lift(x))
+
+    def traces_on_cells(self, unknowns: Array) -> Array:
+        """See `SoilTraces`, shape (cells, (d + 1) d) (collective)."""
+        values = self.sides.values(unknowns)[self._unknowns(np.arange(len(self._dofs), dtype=np.int32))]
         for facets, matrices in self.spaces.frames:
             places = facets.cells[:, None], facets.local[:, None] * self.spaces.dim + np.arange(self.spaces.dim)
             values[places] = np.einsum("fij,fj->fi", matrices, values[places])
         return np.asarray(values)
+
+    def means_of_cells(self, traces: Array) -> Array:
+        """See `SoilTraces` (collective)."""
+        of_facets = traces.reshape(*self._dofs.shape, self.spaces.dim)
+        means = sums_at(self._numbers, self._dofs, of_facets) / sums_at(self._numbers, self._dofs)[:, None]
+        for facets, matrices in self.spaces.frames:
+            means[facets.blocks] = np.linalg.solve(matrices, means[facets.blocks][:, :, None])[:, :, 0]
+        return means.ravel()
+
+    @property
+    def fixed(self) -> npt.NDArray[np.int32]:
+        """See `SoilTraces`."""
+        return self._data.fixed
 
     def in_cells(self, x: PETSc.Vec) -> tuple[Array, Array]:
         """The means of u by the hats less their references, and −s at the vertices of cells with laws (collective)."""

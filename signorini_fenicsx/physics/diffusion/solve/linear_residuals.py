@@ -15,7 +15,7 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
-from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, sizes_of_solution
+from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, by_gradient, sizes_of_solution
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
     (9a) on a cell says what û is at the vertices of its facets: the residual at a facet inside Ω is the difference of
     both sides, on Γ_S and Γ_D that to what is given.
     """
-    dim, element, (k, h) = spaces.dim, reference(spaces.dim), (data.conductivities(spaces), spaces.cell_diameters)
+    dim, element, (taken, h) = spaces.dim, reference(spaces.dim), (by_gradient(spaces, data), spaces.cell_diameters)
     free, traces = element.free, len(element.tractions)
     count, squares = len(spaces.order), np.zeros((2, 2))
     trace, sizes = np.empty((count, traces)), np.empty((count, traces, 2))
@@ -107,7 +107,7 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
         if data.inside:  # whatever is missing is −s
             missing[:] = 0.0
         of_hats = np.einsum("nv,nv->n", missing, np.linalg.solve(cells.hat_masses(), missing[:, :, None])[:, :, 0])
-        squares[1] += (h[numbers] ** 2 / k[numbers] ** 2) @ of_hats, h[numbers] ** 2 @ of_hats
+        squares[1] += (h[numbers] / taken[numbers]) ** 2 @ of_hats, h[numbers] ** 2 @ of_hats
     return squares + _of_traces(spaces, data, trace, sizes, means)
 
 

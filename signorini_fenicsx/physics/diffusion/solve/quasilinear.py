@@ -22,7 +22,6 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
-from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.loop import LINEAR
 from signorini_fenicsx.methods.task import Loop
@@ -126,11 +125,11 @@ class QuasiLinear:
         unsure = data.quasilinear.unsure(self.backend.system.on_cells(self.backend.x))
         about["unsure_cells"] = self.backend.comm.allreduce(int(unsure.sum()))
         about["linear_solves"] = self._solves + self.backend.solves
-        if (storing := data.quasilinear.storing) is not None:
+        if data.quasilinear.storing is not None:
             about["content_change"] = last.content
             traces = self.backend.system.on_cells(self.backend.x) + data.quasilinear.constant
-            data = replace(data, quasilinear=replace(data.quasilinear, storing=replace(storing, traces=traces)))
-            self.backend.data = data
+            u = self.backend.spaces.scalar_values(outcome.iterate.u) + data.quasilinear.constant
+            self.backend.data = data.left(self.backend.spaces, u, traces)
         kept = NEAR if self._near and last.largest > ENOUGH else KEPT
         reason = kept if outcome.reason == LINEAR else f"{outcome.reason}, and {kept}"
         return replace(outcome, details=outcome.details | about, reason=reason if outcome.converged else outcome.reason)
@@ -160,7 +159,8 @@ class QuasiLinear:
         largest, energy = backend.comm.allreduce(largest, MPI.MAX), float(np.sqrt(change / whole)) if whole > 0 else 0.0
         content, stored = 0.0, backend.data.stored
         if stored is not None:
-            content = of_u.storing.change(owned_values(outcome.iterate.u) + of_u.constant, *stored)
+            u = backend.spaces.scalar_values(outcome.iterate.u)
+            content = of_u.storing.change(u + of_u.constant, *stored)
         self.changes.append(KappaChange(largest, energy, content))
         with np.errstate(all="ignore"):
             self._tried = [*self._tried, (np.log(kappa), np.log(following))][-DEPTH - 1 :]

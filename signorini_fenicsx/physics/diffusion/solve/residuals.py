@@ -223,14 +223,18 @@ def _is_at_rest(spaces: Spaces, data: Data) -> bool:
     return bool(largest <= ROUNDING * np.abs(data.extent(spaces)).max())
 
 
+def by_gradient(spaces: Spaces, data: Data) -> Array:
+    """K(1 + c m_T) of each owned cell: with û fixed a lack r moves u_T by r m_T/(1 + c m_T), see `sources`."""
+    k = data.conductivities(spaces)
+    return k if data.c_h is None else k * (1 + owned_values(data.c_h) * mean_moments(spaces, data))
+
+
 def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing, taken = np.zeros(len(k)), k
+    missing, taken = np.zeros(len(k)), by_gradient(spaces, data)
     if not data.inside:
         missing = spaces.cell_diameters * (in_cells.divergence + owned_values(data.source(u)))
-    if data.c_h is not None:  # with û fixed a lack r moves u_T by r m_T/(1 + c m_T), see `sources`: so much less
-        taken = k * (1 + owned_values(data.c_h) * mean_moments(spaces, data))
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [
