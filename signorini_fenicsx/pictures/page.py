@@ -226,7 +226,7 @@ class Page:
         return [*groups, *([(between, style.CONTACT, name)] if len(between) else [])]
 
     def traces(self, panel: Panel) -> list:
-        """What a panel shows, but for maps on a logarithmic scale or of names, of a part of the domain, or on cells."""
+        """What a panel shows, but for maps on a logarithmic scale or of names, or of a part of the domain."""
         scene = panel.scene or self.scene
         points, facets = self.raised(scene), scene.facets.vertices
         if (panel.log and panel.where is not Where.STREAMS) or panel.names or scene.frame is not None:

@@ -288,9 +288,9 @@ class Space:
         return np.concatenate([np.asarray(each["values"]) for each in sections])
 
     def with_values(self, panel: Panel) -> pyvista.UnstructuredGrid:
-        """The mesh with the values of a panel at its points."""
+        """The mesh with the values of a panel at its points, or in its cells."""
         grid = self.grid.copy(deep=False)
-        grid.point_data["values"] = panel.what
+        (grid.cell_data if panel.in_cells else grid.point_data)["values"] = panel.what
         return grid
 
     def mesh(self) -> Sheet:

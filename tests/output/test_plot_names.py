@@ -1,4 +1,4 @@
-"""`[plot]`: names, units, the physical flux, level lines; words of quantities and segments; Baiocchi's water."""
+"""`[plot]`: names, units, the physical flux, level lines; words of quantities and segments; the water of dams; cells on a page."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,8 @@ from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, Pools, w
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
 from signorini_fenicsx.pictures.drawing import draw_all, overview
 from signorini_fenicsx.pictures.geometry import finer
-from signorini_fenicsx.pictures.panels import Panel
+from signorini_fenicsx.pictures.page import Page
+from signorini_fenicsx.pictures.panels import Panel, Where
 from signorini_fenicsx.pictures.scene import Scene, gathered_scene
 from signorini_fenicsx.pictures.sheet import Sheet
 from signorini_fenicsx.pictures.streams import APART, ARROW, SHARES, heads
@@ -283,3 +284,13 @@ def test_what_is_read_off_has_units(tmp_path: Path, case: str, plot: dict, colum
     assert table is not None
     assert unit in table
     assert with_units({"u": np.zeros(1)}, {}).keys() == {"u"}
+
+
+def test_a_panel_of_cells_in_space_is_on_cuts_of_the_page():
+    """Each triangle of a cut has the value of its cell."""
+    cube = scene(load_case("cube").with_values({"solve.h": 0.6}))
+    x = cube.fields.points[cube.fields.cells].mean(axis=1)[:, 0]
+    (cut,) = Page(cube, np.zeros(3)).traces(Panel(x, Where.MAP, "x of the centroid", in_cells=True))
+    assert cut.intensitymode == "cell"
+    assert set(np.asarray(cut.intensity)) <= set(x.astype(np.float32))
+    assert len(set(np.asarray(cut.intensity))) > 3
