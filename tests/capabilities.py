@@ -144,7 +144,7 @@ def _shipped() -> Iterator[Capability]:
         yield solved(case, h="1/4")
     for case in ("cube", "singular3d", "transition3d"):
         yield solved(case, *STRUCTURED, h="1/3", slow=case == "singular3d")
-    yield solved("ball", h="1/2")
+    yield from (solved(case, h=h) for case, h in (("ball", "1/2"), ("rock_joint", "1")))
     for case in ("dam", "electropainting", "fault"):
         yield solved(case, beside=PATH)
     yield solved("dam_baiocchi", *STRUCTURED, h="2", beside=PATH)

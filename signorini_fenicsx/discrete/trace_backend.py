@@ -158,9 +158,10 @@ class TraceBackend(PlainBackend):
         some, stiffness = conditions.counts(self.comm)[Condition.ROBIN] > 0, np.zeros(self._near.shape)
         springs = [(kind, laws.springs(kind.of(conditions))) for kind, laws in self.on_facets] if some else []
         for kind, each in springs:
-            kind.of(stiffness)[:] = each.stiffness.reshape(-1, self._near.shape[1]) * kind.measure[:, None]
+            size = each.stiffness.shape[2]
+            kind.of(stiffness)[:, :size] = each.stiffness.reshape(-1, size) * kind.measure[:, None]
         held_sites = conditions.kind == Condition.ZERO_TRACE
-        return Posed(conditions, springs, Imposed(held_sites, stiffness, np.zeros(len(held_sites))))
+        return Posed(conditions, springs, Imposed(held_sites, stiffness, np.zeros(self._pressing.shape)))
 
     def given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of p."""
@@ -338,7 +339,7 @@ class TraceBackend(PlainBackend):
 
     def pulls(self, posed: Posed, load: Array) -> Array:
         """What shares of other sites' forces take from this right side, see `Imposed.shares`."""
-        return np.asarray(posed.imposed.shares * load[self._unknowns[self._pressing]])
+        return np.asarray((posed.imposed.shares * load[self._unknowns[self._pressing]]).sum(axis=1))
 
     def response(self, conditions: SiteConditions, load: Array) -> Array:
         """What a load changes of the flux at the sites, as `solve_homogeneous` solves (collective).

@@ -19,7 +19,7 @@ class Imposed:
     Attributes:
         held: Mask of the sites with 0.
         springs: Stiffness between each other site and those near it, shape (sites, near).
-        shares: What share of the force at another site each one has added to its own, shape (sites,).
+        shares: What shares of the forces at other sites each one has added to its own, shape (sites, others).
     """
 
     held: Mask
@@ -33,7 +33,7 @@ class Imposed:
 
     def differ(self, other: "Imposed") -> Mask:
         """The sites at which another thing is imposed; springs at sites that are held do nothing."""
-        free = (self.springs != other.springs).any(axis=1) | (self.shares != other.shares)
+        free = (self.springs != other.springs).any(axis=1) | (self.shares != other.shares).any(axis=1)
         return np.asarray((self.held != other.held) | (~self.held & free))
 
 

@@ -76,7 +76,7 @@ class KeptFactors:
             sites: Owned unknown of each site.
             dim: Dimension of the mesh.
             near: The sites to which springs of each site may go, shape (sites, near).
-            pressing: The site of which each one may have a share of the force.
+            pressing: The sites of which each one may have shares of the forces, shape (sites, others).
         """
         self._solver, self._operator, self._natural = solver, operator, operator.natural
         self._fixed, self._unknowns = fixed, sites
@@ -228,7 +228,8 @@ class KeptFactors:
     def _pulls(self, imposed: Imposed, p: Array, forces: Array, at: Indices | slice = slice(None)) -> Array:
         """What springs, and shares of other forces, add to the forces at sites; shapes (…, sites)."""
         pulls = np.einsum("sn,...sn->...s", imposed.springs[at], p[..., self._near[at]])
-        return np.asarray(pulls + imposed.shares[at] * forces[..., self._pressing[at]])
+        shares = np.einsum("sn,...sn->...s", imposed.shares[at], forces[..., self._pressing[at]])
+        return np.asarray(pulls + shares)
 
     @cached_property
     def _rows(self) -> PETSc.Mat:

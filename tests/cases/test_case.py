@@ -72,6 +72,7 @@ def test_examples_are_shipped():
             "plate",
             "plate_tresca",
             "rock",
+            "rock_joint",
             "soil",
             "sphere",
             "lap_joint",

@@ -107,7 +107,7 @@ def test_few_solves_are_enough(name: str, monkeypatch: pytest.MonkeyPatch):
 
 
 class Dense:
-    """A random function with foundations, jumps of a pressure, and friction with two components."""
+    """A random function with foundations, jumps of a pressure, and friction with two components, on springs or not."""
 
     comm, constant, scale, locks = MPI.COMM_SELF, 0.0, 1.0, 1.0
 
@@ -122,6 +122,8 @@ class Dense:
         self.most = np.where(kinds == 0, np.inf, 0.3 * random.random(len(kinds)))
         self.unit = np.einsum("kcn,nm,kcm->k", self.axes, self.matrix, self.axes)
         self.on_pieces = np.zeros(len(kinds), dtype=bool)
+        soft = seed % 2 == 1  # friction gives way, as on springs
+        self.gives = np.where(soft & (kinds == 2), random.random(len(kinds)) / self.unit, 0.0)
 
     def times(self, x: Array) -> Array:
         """Kx."""
@@ -155,6 +157,7 @@ class Dense:
         flat = self.axes.reshape(-1, len(self.load))
         inverse, longest = np.linalg.inv(self.matrix), self.most[:, None]
         compliance, free = flat @ inverse @ flat.T, flat @ inverse @ self.load - self.bound.ravel()
+        compliance += np.diag(self.gives.repeat(2))
         step, forces, last, number = 1 / np.linalg.eigvalsh(compliance)[-1], np.zeros(len(flat)), np.zeros(len(flat)), 0
         for _ in range(20_000):
             ahead = forces + number / (number + 3) * (forces - last)

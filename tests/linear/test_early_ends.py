@@ -54,11 +54,11 @@ def test_gmres_without_more_steps_is_not_at_its_end():
     operator = ConstrainedMatrix(matrix.convert("aij"), PETSc.Mat.Option.SPD)
     solver: FacetSolver = FacetSolver(operator.matrix, "facet_", {}, None, None)
     sites, none = np.arange(2, dtype=np.int32), np.array([], dtype=np.int32)
-    factors = KeptFactors(solver, operator, none, sites, 2, np.array([[0], [1]]), np.array([1, 0]))
+    factors = KeptFactors(solver, operator, none, sites, 2, np.array([[0], [1]]), np.array([[1], [0]]))
     x, free = matrix.createVecLeft(), np.zeros(2, dtype=bool)
-    factors.solve_anew(load, x, Imposed(free, np.zeros((2, 1)), np.zeros(2)))
+    factors.solve_anew(load, x, Imposed(free, np.zeros((2, 1)), np.zeros((2, 1))))
     np.testing.assert_allclose(rows @ x.array_r, load, rtol=1e-13)
-    imposed = Imposed(free, np.array([[3.0], [0.0]]), np.array([0.5, 0.0]))
+    imposed = Imposed(free, np.array([[3.0], [0.0]]), np.array([[0.5], [0.0]]))
     rows[0] += 0.5 * rows[1]
     rows[0, 0] += 3.0
     found = []

@@ -165,11 +165,11 @@ class ContactTexts(KindSection):
         data = dict(self.model_extra or {})
         if self.kind in LAWS and self.kind not in WITH_CONTACT:
             return LAWS[self.kind](self.parts, **data)
-        friction = _friction_or_none(data)
-        if self.kind == JOINT:
-            assert friction is not None
-            return JointSprings(self.parts, **data, friction=friction)
-        return Contact(self.parts, **data, friction=friction)
+        return (
+            _joint(self.parts, data)
+            if self.kind == JOINT
+            else Contact(self.parts, friction=_friction_or_none(data), **data)
+        )
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
@@ -182,16 +182,26 @@ def _friction_or_none(data: dict[str, Any]) -> Tresca | Coulomb | None:
     return (Coulomb if "mu" in bounds else Tresca)(**bounds) if bounds else None
 
 
+def _joint(parts: Sequence[str], data: dict[str, Any]) -> JointSprings:
+    """The springs of a joint on some parts."""
+    friction = _friction_or_none(data)
+    assert friction is not None
+    return JointSprings(parts, **data, friction=friction)
+
+
 class ElasticPair(PairTexts):
     """`[[pair]]` of bodies: contact, friction, or another law between opening and pressure."""
 
-    of_kind = WITHOUT_SURFACE | {name: OF_KIND[name] for name in NORMAL}
+    of_kind = WITHOUT_SURFACE | {name: OF_KIND[name] for name in NORMAL} | {JOINT: JointTexts}
     kind: Annotated[str, choice("kind of a pair", tuple(of_kind))]
     gap: Expression = "distance"
 
     def law(self) -> Any:
         """The law, without parts; None for contact without friction."""
-        return _friction_or_none(dict(self.model_extra or {})) if self.kind in WITH_CONTACT else super().law()
+        data = dict(self.model_extra or {})
+        if self.kind == JOINT:
+            return _joint((), data)
+        return _friction_or_none(data) if self.kind in WITH_CONTACT else super().law()
 
     def made(self) -> Pair:
         """The pair."""

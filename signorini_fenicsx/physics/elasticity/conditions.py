@@ -1,6 +1,6 @@
 """Conditions on elastic bodies where they meet something: contact, friction, pairs of surfaces."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import NoneType
@@ -8,9 +8,10 @@ from typing import TypeGuard
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
-from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Friction, Neumann, Wall
+from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import Given
 
@@ -31,7 +32,31 @@ class CoulombLaw(Law):
     word = "coulomb"
 
 
-LAWS_OF_BODIES: Mapping[str, type[Law]] = {**LAWS, CoulombLaw.word: CoulombLaw}
+@dataclass(frozen=True)
+class Pressed(Law):
+    """Springs across a joint that do not pull: the pressure is so many times what the gap is overcome.
+
+    Attributes:
+        parts: Names of parts of Γ_C.
+        normal: The stiffness per area, ≥ 0.
+    """
+
+    normal: Given
+    segments = ("pressed", "open")
+    places = ("parts",)
+    word = "pressed"
+
+    def graph(self, values: Values) -> Graph:
+        """The corner is the reference."""
+        corner = np.zeros_like(values["normal"]), np.zeros_like(values["normal"])
+        return Graph(corner, [corner], before=values["normal"])
+
+    def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
+        """Tell where the stiffness is negative."""
+        yield "normal must not be negative", -values["normal"]
+
+
+LAWS_OF_BODIES: Mapping[str, type[Law]] = {**LAWS, CoulombLaw.word: CoulombLaw, Pressed.word: Pressed}
 """The laws of bodies by their names."""
 
 
@@ -85,12 +110,12 @@ class Coulomb:
 
 @dataclass(frozen=True)
 class JointSprings(OnParts):
-    """A joint that gives way in the plane: springs across it that do not pull, and springs along it, which slip.
+    """A joint that gives way: springs across it that do not pull, and springs along it, which slip.
 
-    The pressure is `normal` times how far the gap is overcome, |σ_t| is at most the bound of the friction, and less
-    only where σ_t = −shear (u_t − w), w the slip so far.
+    The pressure is `normal` times how far the gap is overcome. |σ_t| is at most the bound of the friction, and
+    σ_t = −shear (u_t − w) with what has slipped, w; w grows against σ_t where |σ_t| is at its bound.
 
-    Usage: `JointSprings("joint", normal=20, shear=8, friction=Coulomb(0.4))`.
+    Usage: `JointSprings("joint", normal=20, shear=8, friction=Coulomb(0.4))`, and without parts as the law of a `Pair`.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -113,7 +138,7 @@ class JointSprings(OnParts):
     @property
     def laws(self) -> list[Law]:
         """The law across the joint, and that along it but for the springs."""
-        return [Wall(self.parts, self.normal), self.friction.law(self.parts)]
+        return [Pressed(self.parts, self.normal), self.friction.law(self.parts)]
 
 
 @dataclass(frozen=True)
@@ -155,15 +180,17 @@ class Contact(OnParts):
             raise InputError("behind: a foundation on the other side is no tool, and has no surface")
 
 
-def on_slave(pair: Pair) -> Contact | Law | None:
+def on_slave(pair: Pair) -> Contact | JointSprings | Law | None:
     """The condition on the slave as if there were a foundation, without the distance; None if it is tied.
 
     Raises:
         InputError: If its law is none for bodies.
     """
-    check_kind("law", pair.law, Tresca, Coulomb, Tied, Law, NoneType)
+    check_kind("law", pair.law, Tresca, Coulomb, JointSprings, Tied, Law, NoneType)
     if isinstance(pair.law, Tied):
         return None
+    if isinstance(pair.law, JointSprings):
+        return replace(pair.law, parts=pair.slave, gap=pair.added[1])
     if not isinstance(pair.law, Law):
         return Contact(pair.slave, gap=pair.added[1], friction=pair.law)
     if not is_normal(pair.law):

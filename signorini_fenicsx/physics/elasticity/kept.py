@@ -89,7 +89,7 @@ def read(
         segment = np.zeros(len(along))
         of_friction = data.reactions(spaces, stresses, along - data.slipped)
         shear = spaces.site_kinds["slip"].of(of_friction).reshape(-1, 3, 2)
-        after = (along - data.slipped).reshape(shear.shape)
+        after = data.friction.left((along - data.slipped).reshape(shear.shape), shear)
         slipping = _slipping(state[rough] == STATES.index("stick"), shear, after)
         data = replace(data, friction=replace(data.friction, slipping=slipping))
     chains = law_of_sites(data.laws.chains, data.friction)

@@ -160,9 +160,9 @@ class ElasticSolution(Solution):
     @property
     def slipped(self) -> Array:
         """The slip that is left of u_t when σ_t is taken away, of joints on springs less than u_t."""
-        springs = np.broadcast_to(self.data.friction.springs, self.data.friction.bound.shape).ravel()
-        shear = self.spaces.site_kinds["slip"].of(self.outcome.iterate.flux)
-        return self.slips + (shear / springs if self.problem.joint else 0.0)
+        along, pairs = self.spaces.site_kinds["slip"], self.outcome.iterate
+        left: Array = self.data.friction.left(along.rows_of(pairs.p), along.rows_of(pairs.flux))
+        return left.ravel() + self.data.slipped
 
     @property
     def _after(self) -> Array:

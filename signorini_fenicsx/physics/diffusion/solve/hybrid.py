@@ -82,7 +82,7 @@ class HybridBackend(FacetBackend, FluxBackend):
             make = partial(AuxiliarySpace, spaces, system, operator) if iterative else None
             return FacetSolver(operator.matrix, prefix, DEFAULTS, make, None if large else MOST_ITERATIONS)
 
-        FluxBackend.__init__(self, system, spaces, data, fixed, (rows[:, None], rows), choose)
+        FluxBackend.__init__(self, system, spaces, data, fixed, (rows[:, None], rows[:, None]), choose)
         self._factors.by_gmres, none = False, np.zeros(len(rows))
         self._laws = VertexLaws((), Chains.at_corner(len(rows)), none, none, np.zeros((len(rows), 2)), 1)
         self._take(data)

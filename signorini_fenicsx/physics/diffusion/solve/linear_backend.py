@@ -121,7 +121,7 @@ class LinearBackend(VertexBackend, FluxBackend):
         sites = np.arange(len(spaces.site_kinds.unknown))
         near = sites.reshape(-1, spaces.dim).repeat(spaces.dim, axis=0)
         choose = partial(facet_solver, spaces, tuning)
-        FluxBackend.__init__(self, FluxSystem(spaces, data), spaces, data, data.fixed, (near, sites), choose)
+        FluxBackend.__init__(self, FluxSystem(spaces, data), spaces, data, data.fixed, (near, sites[:, None]), choose)
         self.precise = self._corrected_to_rounding
         self._take(data)
 

@@ -2,7 +2,8 @@
 
 The function is ½x·Kx − b·x + Σ max τ·(Ax − g) over forces τ that are no longer than w, and not negative where a term is
 one-sided; a small matrix A and a vector g belong to each term. A foundation, a·x ≤ g, is one-sided with w = ∞; a law
-whose pressure jumps by w is one-sided; friction w|Ax − g| is not, and has two components in space.
+whose pressure jumps by w is one-sided; friction w|Ax − g| is not, and has two components in space. A term may give way,
+as friction on springs does: then it is max τ·(Ax − g) − ½c|τ|² with its compliance c.
 
 The forces of the stress tell well which foundations are touched, and with the slip of the solution where friction
 holds. These terms become stiff springs that pull with the forces known; at the others the force is at an end of its
@@ -57,6 +58,7 @@ class Terms(Protocol):
         most: w, ∞ for a foundation.
         one_sided: Whether no component of a force is negative.
         unit: A stiffness for each term, of the size of K there, shared by those with friction at the same node.
+        gives: c of each term, 0 where it does not give way.
         on_pieces: Which terms are on pieces of facets: they are more than can be active, so that a one-sided one is
             taken for active at the start only if its force is positive where it grows by the unit with what is passed.
         locks: By how much the volume makes K stiffer than shear does.
@@ -70,6 +72,7 @@ class Terms(Protocol):
     most: Array
     one_sided: Mask
     unit: Array
+    gives: Array
     on_pieces: Mask
     locks: float
 
@@ -111,7 +114,7 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
             springs = sets.springs(terms)
             terms.factorise(springs)
         allowed = ACCURATE * np.sqrt(2 * max(least, 0.0))
-        pull = sets.force + np.einsum("kij,kj->ki", springs, off)
+        pull = sets.pull(terms, springs, off)
         try:
             x = x + terms.solve(terms.load - terms.times(x) - terms.spread(pull), allowed)
         except LinearSolveFailure:
@@ -125,7 +128,7 @@ def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
         idle = idle + 1 if pieces and value > (1 - IDLE) * least else 0
         if value < least:
             least, best = value, inside
-        reached = sets.force + np.einsum("kij,kj->ki", springs, off)
+        reached = sets.pull(terms, springs, off)
         after, gain = sets.after(terms, reached, off)
         enough = max(ENOUGH * least, LEAST * terms.scale)
         if idle > 1 or precise or (gain <= enough and allowed <= 2 * ACCURATE * np.sqrt(2 * max(least, 0.0))):
@@ -158,9 +161,10 @@ class _Taken:
         """The sets of these forces and this Ax − g (collective)."""
         most, rubs, foundations = terms.most, ~terms.one_sided, np.isinf(terms.most)
         passed = np.where(terms.on_pieces, terms.unit, 0.0) * off[:, 0]
+        beyond = off - terms.gives[:, None] * forces
         largest = terms.comm.allreduce(float(np.abs(forces[foundations]).max(initial=0.0)), MPI.MAX)
         margin = TOUCHES * np.where(foundations, largest, most)
-        ahead = (1 + TOUCHES) * forces + np.where(rubs, AHEAD * terms.unit, 0.0)[:, None] * off
+        ahead = (1 + TOUCHES) * forces + np.where(rubs, AHEAD * terms.unit, 0.0)[:, None] * beyond
         force = _nearest(terms, ahead)
         pressed = forces[:, 0] + passed > margin
         held = np.where(rubs, (force == ahead).all(axis=1), pressed & (forces[:, 0] < most - margin))
@@ -169,10 +173,16 @@ class _Taken:
         force[full, 0] = most[full]
         return cls(np.where(held[:, None], forces, force), held, np.linalg.norm(off, axis=1))
 
+    def pull(self, terms: Terms, springs: Array, off: Array) -> Array:
+        """The forces at this Ax − g; what holds and gives way has less than the force at rest."""
+        share = np.where(self.held, 1 / (1 + STIFF * terms.unit * terms.gives), 1.0)
+        return np.asarray(share[:, None] * self.force + np.einsum("kij,kj->ki", springs, off))
+
     def springs(self, terms: Terms) -> Array:
         """The springs, shape (terms, components, components)."""
         one, most, unit = np.eye(self.force.shape[1]), terms.most, terms.unit
-        springs: Array = np.where(self.held, STIFF * unit, 0.0)[:, None, None] * one
+        stiff = STIFF * unit / (1 + STIFF * unit * terms.gives)
+        springs: Array = np.where(self.held, stiff, 0.0)[:, None, None] * one
         slips = np.flatnonzero(~self.held & ~terms.one_sided)
         direction = self.force[slips] / most[slips, None]
         across = one - direction[:, :, None] * direction[:, None]
@@ -188,9 +198,10 @@ class _Taken:
             reached: The forces that a solve has reached.
             off: Its Ax − g.
         """
-        ahead = reached + np.where(self.held, 0.0, terms.unit)[:, None] * off
+        beyond = off - terms.gives[:, None] * reached
+        ahead = reached + np.where(self.held, 0.0, terms.unit)[:, None] * beyond
         following = _nearest(terms, ahead)
-        turned_back = ~self.held & ((off * self.force).sum(axis=1) < 0)
+        turned_back = ~self.held & ((beyond * self.force).sum(axis=1) < 0)
         held = (following == ahead).all(axis=1) | turned_back
         gains = ((following - reached) ** 2).sum(axis=1) / terms.unit
         length = FARTHER * np.linalg.norm(following - reached, axis=1) / terms.unit
@@ -208,5 +219,7 @@ def _value(terms: Terms, x: Array) -> float:
     """The function, without foundations (collective)."""
     off, finite = terms.along(x) - terms.bound, np.isfinite(terms.most)
     reach = np.where(terms.one_sided, np.maximum(off[:, 0], 0.0), np.linalg.norm(off, axis=1))
-    rubbed = terms.most[finite] @ reach[finite]
+    reach, most, gives = reach[finite], terms.most[finite], terms.gives[finite]
+    force = np.minimum(most, np.divide(reach, gives, out=np.full_like(reach, np.inf), where=gives > 0))
+    rubbed = force @ (reach - gives * force / 2)
     return terms.constant + float(terms.comm.allreduce(float(x @ (terms.times(x) / 2 - terms.load) + rubbed)))

@@ -44,6 +44,7 @@ from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.friction import moments_of
 from signorini_fenicsx.physics.elasticity.bound.lifted import degree_of, lifted, lifts, of_degree
 from signorini_fenicsx.physics.elasticity.bound.oscillation import compliances_above, load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import (
@@ -54,6 +55,7 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import (
 )
 from signorini_fenicsx.physics.elasticity.bound.tied import lacking
 from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE
+from signorini_fenicsx.physics.elasticity.discrete.friction import is_linear
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -82,7 +84,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     """
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    if why := without_bound(solution):
+    if why := pairs_without_bound(solution.spaces):
         return no_bound(solution, why)
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
@@ -121,13 +123,6 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.proved else {}))
 
 
-def without_bound(solution: ElasticSolution) -> str:
-    """Why there is no bound, in words; empty if there is one (collective)."""
-    if solution.problem.joint:
-        return "none is there for springs along a joint"
-    return pairs_without_bound(solution.spaces)
-
-
 def with_surface(solution: ElasticSolution, of: str) -> str:
     """Of which solution a bound is, in words; with tools from surface meshes it says how far these are known."""
     return f"{of or 'the exact solution'}, {SURFACE}" if solution.problem.surface else of
@@ -164,8 +159,8 @@ def _displacement(
     spaces = solution.spaces
     problem = BestDisplacement(spaces, solution.data, y, split, degree, v)
     v, past = problem.minimum()
-    mismatch, on_contact = gap_of_cells(solution, y, problem, v, resolution)
-    return v, mismatch + 2 * on_contact, problem.slipping(v), past
+    mismatch, on_contact = gap_of_cells(solution, problem, v, resolution)
+    return v, mismatch + 2 * on_contact, problem.friction.lengths(v, len(spaces.rough_rows)), past
 
 
 def _with_friction(
@@ -191,7 +186,6 @@ def _with(of_cells: Array, lacking: Array) -> Array:
 
 def gap_of_cells(
     solution: ElasticSolution,
-    y: AdmissibleStress,
     problem: BestDisplacement,
     v: fem.Function,
     resolution: Resolution,
@@ -211,7 +205,7 @@ def gap_of_cells(
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells)
     mismatch = _with(mismatch, lacked(problem, v, resolution)[:, 0])
-    np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
+    np.add.at(on_contact, problem.contact.facets.cells, _on_contact(problem, v, half=half))
     on_supports = problem.supports.gap(v) * (0.5 if half else 1.0)
     np.add.at(on_contact, problem.supports.on.facets.cells, on_supports)
     return mismatch, on_contact
@@ -252,21 +246,14 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     return np.flatnonzero(chosen)
 
 
-def _on_contact(
-    solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function, *, half: bool
-) -> Array:
-    """∫ (−σ_nn)(g − v_n) over the facets of Γ_C, with friction and ∫ g|v_t − w| + σ_t (v_t − w), or a bit more.
-
-    w is the slip of the last step in time (collective).
-    """
+def _on_contact(problem: BestDisplacement, v: fem.Function, *, half: bool) -> Array:
+    """∫ (−σ_nn)(g − v_n) over the facets of Γ_C, and what `friction` adds, or a bit more (collective)."""
     contact = problem.contact
-    apart = np.einsum("n,ak,nk->na", contact.facets.measure, problem.moments, problem.openings_of(v))
-    gap = np.einsum("na,na->n", problem.pressure, apart)
+    openings, forces = problem.openings_of(v), problem.pressure @ moments_of(contact)
+    gap = contact.facets.measure * (forces * openings).sum(axis=1)
     for law in problem.laws:
-        gap[law.rows] = law.integrals(problem.openings_of(v)[law.rows], problem.pressure[law.rows], half=half)
-    on_contact, on_rough = problem.rough
-    shear = contact.at_corners(y.shear[on_rough], on_contact)
-    gap[on_contact] += problem.rubbed(v) + np.einsum("nam,nam->n", shear, problem.slips(v))
+        gap[law.rows] = law.integrals(openings[law.rows], problem.pressure[law.rows], half=half)
+    gap[problem.friction.rows] += problem.friction.gap(v, half=half)
     return gap
 
 
@@ -286,6 +273,8 @@ def not_in_the_spaces(resolution: Resolution, *, material: bool = True, also: Se
     degrees += [(name, getattr(data, name).polynomial, of_v) for name in ("u_D", "gap") if name not in also]
     names = [name for name, degree, most in degrees if degree is None or degree > most]
     names += sorted({name for name, *_ in data.friction.texts if name not in also})
+    springs = data.friction.springs
+    names += [] if springs is None else [name for name, datum, _ in springs.data if not is_linear(datum)]
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     if not (material and is_own_enclosed(data.material)):
         names += [each.name for each in data.material.strains if unresolved_by_quadrature(each)]

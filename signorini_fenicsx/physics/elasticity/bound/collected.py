@@ -28,6 +28,7 @@ class Collected:
         forces: Those near the minimum, likewise.
         most: w.
         one_sided: Whether no component of a force is negative.
+        stiffness: By which each gives way, ∞ but for springs along joints.
         share: The share of its facet on which each is.
     """
 
@@ -37,6 +38,7 @@ class Collected:
     forces: Array
     most: Array
     one_sided: Mask
+    stiffness: Array
     share: Array
 
     @property
@@ -74,5 +76,6 @@ class Collected:
             forces=total(self.forces),
             most=total(self.most),
             one_sided=self.one_sided[kept],
+            stiffness=total(self.stiffness),
             share=share,
         )

@@ -17,11 +17,10 @@ from petsc4py import PETSc
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
-from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.discrete.trace_multigrid import STIFF
 from signorini_fenicsx.forms.elasticity import square, strain, vector
@@ -29,6 +28,7 @@ from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minim
 from signorini_fenicsx.physics.elasticity.bound.collected import Collected
 from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condensed, displacement_solver, means_at_nodes
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
+from signorini_fenicsx.physics.elasticity.bound.friction import FrictionOfDisplacement, moments_of
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets, kinks_on
 from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
 from signorini_fenicsx.physics.elasticity.bound.tied import lacking, tied_pairs, with_tied
@@ -39,7 +39,6 @@ from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
     in_pieces,
 )
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, material_on_split
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 
 SHIFT = 1e-13
@@ -62,6 +61,7 @@ class BestDisplacement:
         contact: The facets of Γ_C on it.
         tied: The tied pairs on it.
         laws: The laws on them, but for contact.
+        friction: The friction on them.
         supports: The supports on it.
         openings: The coefficients of g on them, or of what stands for it, less p at the references of the laws.
         material: 𝔸, ℂ and ε₀ on it.
@@ -97,18 +97,12 @@ class BestDisplacement:
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
         ]
         self.material = material_on_split(spaces, data, split, 2 * degree - 2)
+        self.friction = FrictionOfDisplacement.of(spaces, data, self.contact, y.shear)
         self._v = None if v is None else self._continued(v)
         self._given = given_nodes(spaces, data, split, self.space, self._v)
         floors = y.floors[self.contact.rows, None]
         self.openings = np.where(np.isfinite(floors), floors, self.contact.openings(spaces.mesh, data))
         self.supports = SupportsOfDisplacement.of(spaces, data, split, self.space, y.stresses, y.shear)
-
-    @cached_property
-    def rough(self) -> tuple[Indices, Indices]:
-        """The facets with friction: where they are in `contact`, and in `ElasticSpaces.rough`."""
-        in_contact, everywhere = self.contact.rows, self.spaces.rough_rows
-        rough = np.flatnonzero(np.isin(in_contact, everywhere))
-        return rough, np.searchsorted(everywhere, in_contact[rough])
 
     def _continued(self, v: fem.Function) -> fem.Function:
         """The displacement on the whole split mesh as one of this space."""
@@ -135,37 +129,34 @@ class BestDisplacement:
 
         Bounds of the friction that are rounding are left out.
         """
-        contact, (rough, in_rough), dim = self.contact, self.rough, self.spaces.dim
-        strength = contact.at_corners(self.data.friction.bound[in_rough], rough)
-        weights = self._in_coefficients(strength, contact.facets.measure[rough])  # ∫ g B
+        contact, friction, dim = self.contact, self.friction, self.spaces.dim
+        rough, weights, rubbing = friction.rows, friction.weights, friction.forces
         rubs = weights > ROUNDING * self.comm.allreduce(weights.max(initial=0.0), MPI.MAX)
         on, at, sides, corners, most = kinks_on(self.laws, self.openings)
         touching, of_rough = len(on), np.nonzero(rubs)
         rows, places = np.append(on, rough[of_rough[0]]), np.append(at, of_rough[1])
-        tangents, known = self.spaces.tangents[in_rough][of_rough[0]], slice(touching, len(rows))
+        tangents, known = friction.tangents[of_rough[0]], slice(touching, len(rows))
         nodes, signs, ways = with_tied(self.tied, *contact.pairs(rows, places))
         directions, bound, of_y = (np.zeros((len(nodes), dim - 1, *shape)) for shape in ((dim,), (), ()))
         directions[:touching, 0], directions[known] = sides[:, None] * contact.facets.normals[on], tangents
         directions[len(rows) :, 0] = ways
         bound[:touching, 0] = sides * (self.openings[on, at] - corners)
-        bound[known] = np.einsum("kmi,ki->km", tangents, self._slipped()[rubs])
+        bound[known] = np.einsum("kmi,ki->km", tangents, friction.before[rubs]) + friction.springs.shift[rubs]
         forces, apart = self._pressing()
-        measure = contact.facets.measure[rough]
-        at_corners = contact.at_corners(self._y.shear[in_rough], rough)
-        shear = np.einsum("nak,nki->nai", at_corners, self.spaces.tangents[in_rough])
-        rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self.moments)
         of_y[:touching, 0] = sides * forces[on, at]
         of_y[known] = np.einsum("kmi,ki->km", tangents, rubbing[rubs])
         axes = signs[:, None, :, None] * np.einsum("ksij,kmi->kmsj", self._given.frames[nodes], directions)
         bound -= np.einsum("kmsj,ksj->km", axes, self._given.values[nodes])
         axes = np.where(self._given.given[nodes][:, None], 0.0, axes)
-        most = np.concatenate([most, weights[rubs], np.full(len(ways), np.inf)])
+        hard = np.full(len(ways), np.inf)
+        most = np.concatenate([most, weights[rubs], hard])
+        stiffness = np.concatenate([np.full(touching, np.inf), friction.springs.stiffness[rubs], hard])
         kinds, one_sided = np.zeros((len(nodes), 2)), np.arange(len(nodes)) < touching
         kinds[:touching], share = np.column_stack([sides, corners]), np.append(contact.share[rows], np.ones(len(ways)))
-        terms = Collected(self._left.number_of[nodes], axes, bound, of_y, most, one_sided, share).once(kinds)
+        terms = Collected(self._left.number_of[nodes], axes, bound, of_y, most, one_sided, stiffness, share).once(kinds)
         self._nodes, self._axes, self.bound, self._forces = terms.nodes, terms.axes, terms.bound, terms.forces
         self.most, self.one_sided, self.on_pieces = terms.most, terms.one_sided, terms.on_pieces
-        self._shares = terms.share
+        self._shares, self.gives = terms.share, 1 / terms.stiffness
 
         pulling = vector(strain(ufl.TestFunction(self.space))), ufl.dot(self.material.stiffness, self._without_v)
         pull = fem.assemble_vector(fenicsx.form(-ufl.inner(*pulling) * self.material.dx))
@@ -175,7 +166,8 @@ class BestDisplacement:
         add_at(pull, self.supports.on.nodes, self.supports.forces)
         pull.scatter_reverse(la.InsertMode.add)
         self._pull = pull
-        self._apart = apart + float(self.supports.gap().sum()) + float((rubbing * self._slipped()).sum())
+        without_v = self.supports.gap().sum() + friction.springs.apart.sum() + (rubbing * friction.before).sum()
+        self._apart = apart + float(without_v)
 
     def _pressing(self) -> tuple[Array, float]:
         """What presses on the coefficients of v_n, beside kinks and springs, and the part of the gap without v."""
@@ -215,7 +207,7 @@ class BestDisplacement:
         inside = self._condensed = condensed(self.split, self.space, left, material, self._given.frames, forces)
         wide = dim * self._nodes.shape[1]
         coupling = self._nodes, np.zeros((len(self._nodes), wide, wide))
-        parts = ((inside.around, inside.matrices), *self._springs(), coupling)
+        parts = ((inside.around, inside.matrices), *(springs := list(self._springs())), coupling)
         self._natural = of_cells(self.comm, self._numbers, dim, [nodes for nodes, _ in parts], parts)
         values = left.of_space[:size]
         self._lift, load = self._given.values[values].ravel(), inside.load
@@ -235,7 +227,12 @@ class BestDisplacement:
         stiffness = la.vector(self._numbers, dim)
         stiffness.array[: size * dim] = diagonal.array_r + inside.softened
         stiffness.scatter_forward()
-        self.unit = stiffness.array.reshape(-1, dim)[self._nodes].max(axis=(1, 2), initial=0.0) * self._shares
+        everywhere = stiffness.array.reshape(-1, dim)
+        of_laws = np.zeros_like(everywhere)  # across, where friction is along
+        for nodes, matrices in springs[1:]:
+            of_laws += sums_at(self._numbers, nodes, np.einsum("nii->ni", matrices).reshape(*nodes.shape, dim))
+        of_sides = np.where(self.one_sided[:, None, None], everywhere[self._nodes], (everywhere - of_laws)[self._nodes])
+        self.unit = of_sides.max(axis=(1, 2), initial=0.0) * self._shares
         self.locks = 1.0 if material.incompressible else 1 + self.data.stiffness_of_volume(self.spaces) / 2
         self._share()
         self._shift = (1 + SHIFT) * self._natural.getDiagonal()
@@ -396,49 +393,8 @@ class BestDisplacement:
     def moments_on_contact(self, v: fem.Function) -> Array:
         """∫ v φ_a over the facets `contact`, of the jump where two bodies touch, shape (facets, d, d)."""
         coefficients = self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
-        return np.einsum("n,ak,nki->nai", self.contact.facets.measure, self.moments, coefficients)
-
-    @cached_property
-    def moments(self) -> Array:
-        """∫ φ_a B over the facet of measure 1 for the B of each of its nodes, shape (d, nodes)."""
-        points, weights = facet_rule(self.spaces.dim, self.contact.degree)
-        hats = np.column_stack([1 - points.sum(axis=1), points])
-        return np.einsum("q,qa,qk->ak", weights / weights.sum(), hats, self.contact.basis(points))
+        return np.einsum("n,ak,nki->nai", self.contact.facets.measure, moments_of(self.contact), coefficients)
 
     def _in_coefficients(self, values: Array, measure: Array) -> Array:
         """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
-        return measure[:, None] * (values @ self.moments)
-
-    def _slipped(self) -> Array:
-        """The slip of the last step in time and of tools on the facets with friction, by its coefficients.
-
-        It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
-        """
-        values = linear_from_means(self.spaces.along(self.data.slip_before)[self.rough[1]])
-        return np.asarray(self.contact.hats @ self.contact.at_corners(values, self.rough[0]))
-
-    def slips(self, v: fem.Function) -> Array:
-        """∫ (v_t − w)φ_a over the facets with friction, shape (facets, d, d − 1); w is the slip of the last step."""
-        coefficients = self._slips(v)
-        return np.einsum("n,ak,nkm->nam", self.contact.facets.measure[self.rough[0]], self.moments, coefficients)
-
-    def rubbed(self, v: fem.Function) -> Array:
-        """A bound of ∫ g|v_t − w| over the facets with friction, see `FacetCoefficients.lengths`."""
-        rough, in_rough = self.rough
-        strength = self.contact.at_corners(self.data.friction.bound[in_rough], rough)
-        means = self.contact.lengths(self._slips(v), strength, self.moments)
-        return np.asarray(self.contact.facets.measure[rough] * means)
-
-    def slipping(self, v: fem.Function) -> Array:
-        """‖v_t − w‖ on the facets of `ElasticSpaces.rough`, w the slip of the last step; 0 where v is not."""
-        (rough, in_rough), norms = self.rough, np.zeros(len(self.spaces.rough_rows))
-        points, weights = facet_rule(self.spaces.dim, 2 * self.contact.degree)
-        slips = np.einsum("qk,nkm->nqm", self.contact.basis(points), self._slips(v))
-        squares = np.einsum("q,nqm->n", weights / weights.sum(), slips**2)
-        np.add.at(norms, in_rough, self.contact.facets.measure[rough] * squares)
-        return np.sqrt(norms)
-
-    def _slips(self, v: fem.Function) -> Array:
-        """The coefficients of v_t − w on the facets with friction, shape (facets, nodes, d − 1)."""
-        (rough, in_rough), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
-        return np.einsum("nki,nmi->nkm", slips[rough] - self._slipped(), self.spaces.tangents[in_rough])
+        return measure[:, None] * (values @ moments_of(self.contact))

@@ -109,11 +109,14 @@ def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -
     spaces, data = solution.spaces, solution.data
     balancing = data.reactions(spaces, stresses, spaces.site_kinds["slip"].of(p))
     _, reactions = solution.outcome.conditions.clean(p, balancing, 0.0)  # on springs as it is
+    (normal, slip), friction = spaces.site_kinds, data.friction
+    if friction.in_space and friction.springs is not None:
+        sprung = np.repeat(friction.springs.somewhere, slip.shape[0] * slip.shape[1])
+        slip.of(reactions)[sprung] = slip.of(balancing)[sprung]
     sizes = np.array([np.abs(each).max(initial=0.0) for each in (reactions - balancing, stresses)])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
     distance = np.inf if sizes[0] > OTHERS * sizes[1] else distance
-    normal, slip = spaces.site_kinds
-    shear = shortened(slip.rows_of(reactions), data.friction.bound)
+    shear = shortened(slip.rows_of(reactions), friction.bound)
     pressure = normal.rows_of(np.clip(normal.of(reactions), *data.laws.chains.extent()[2:]))
     segment = normal.rows_of(solution.segment)
     displacement = spaces.displacement_values(solution.u)

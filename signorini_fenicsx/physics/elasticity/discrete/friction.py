@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -26,6 +27,7 @@ from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance
 from signorini_fenicsx.expressions.given import Given, parsed
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
+from signorini_fenicsx.physics.elasticity.discrete.joints import SpringsAlong
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool
 from signorini_fenicsx.physics.elasticity.problem import GivenVector
@@ -80,7 +82,7 @@ class FrictionBounds:
         by_pressure: Whether g follows the pressure somewhere, on any rank.
         somewhere: Whether there is friction, on any rank.
         slipping: The linear law, in space; in the plane nothing slips by it.
-        springs: Stiffness of springs along joints at the vertices, ∞ without, shape (facets, d).
+        springs: Those along joints; None if there are none, on any rank.
         longest: No u_t is longer.
     """
 
@@ -92,7 +94,7 @@ class FrictionBounds:
     by_pressure: bool
     somewhere: bool
     slipping: Slipping
-    springs: Array | float = np.inf
+    springs: SpringsAlong | None = None
     longest: float = 1.0
 
     def __bool__(self) -> bool:
@@ -107,17 +109,13 @@ class FrictionBounds:
     def chains(self) -> Chains:
         """The law of each site, between u_t and σ_t; in space between their components, stick or a given σ_t."""
         if not self.in_space:
-            g, none = np.minimum(self.bound, self.longest * self.springs).ravel(), np.zeros(self.bound.size)
-            reach = g / np.broadcast_to(self.springs, self.bound.shape).ravel()
+            springs = np.inf if self.springs is None else self.springs.stiffness
+            g, none = np.minimum(self.bound, self.longest * springs).ravel(), np.zeros(self.bound.size)
+            reach = g / np.broadcast_to(springs, self.bound.shape).ravel()
             return Chains.through(np.column_stack([-reach, reach]), np.column_stack([g, -g]), none, none)
-        sticks, force = np.repeat(self.sticks.ravel(), 2), self.forces.ravel()
+        sticks, force = np.repeat(self.held.ravel(), 2), self._linear[1].ravel()
         p, flux, slope = np.where(sticks, 0.0, STICKS), np.where(sticks, -STICKS, force), np.where(sticks, np.inf, 0.0)
         return Chains.through(p[:, None], flux[:, None], slope, slope)
-
-    @property
-    def by_springs(self) -> bool:
-        """Whether joints have springs along them."""
-        return not isinstance(self.springs, float)
 
     @property
     def laws(self) -> VertexLaws:
@@ -131,42 +129,58 @@ class FrictionBounds:
         return (self.bound > 0) & ~self.slipping.direction.any(axis=2)
 
     @property
-    def forces(self) -> Array:
-        """The constant part of the linear law in space, shape (facets, 3, 2)."""
-        part = np.where(self.sticks, 0.0, self.slipping.pressed - self.bound * self.slipping.turning)
-        return part[:, :, None] * self.slipping.direction
+    def held(self) -> Mask:
+        """Mask of those of them that no springs let go."""
+        return self.sticks if self.springs is None else self.sticks & ~self.springs.somewhere[:, None]
 
-    @property
-    def slopes(self) -> Array:
-        """The derivative of σ_t by the pressure in the linear law in space, shape (facets, d, d − 1)."""
-        slope = np.broadcast_to(self.slipping.slope, self.bound.shape)
-        return -slope[:, :, None] * self.slipping.direction
+    @cached_property
+    def _linear(self) -> tuple[Array, Array, Array]:
+        """The linear law in space at the sites of each facet: its stiffness, f, and the derivatives by the pressures.
 
-    @property
-    def stiffness(self) -> Array:
-        """(g/a)(I − θssᵀ), 0 where nothing slips, shape (facets, d, d − 1, d − 1)."""
-        s, slope = self.slipping.direction, np.zeros(self.bound.shape)
+        The stiffness is (g/a)(I − θssᵀ) for each vertex, with the springs of joints for all of them together. Shapes
+        (facets, 6, 6), (facets, 6, 1) and (facets, 6, 3).
+        """
+        s, slope, (number, dim) = self.slipping.direction, np.zeros(self.bound.shape), self.bound.shape
         slips = s.any(axis=2)
         slope[slips] = (self.bound / self.slipping.size)[slips]
         turning = np.broadcast_to(self.slipping.turning, slope.shape)[:, :, None, None]
-        stiffness: Array = slope[:, :, None, None] * (np.eye(s.shape[2]) - turning * s[:, :, :, None] * s[:, :, None])
-        return stiffness
+        stiffness: Array = slope[:, :, None, None] * (np.eye(dim - 1) - turning * s[:, :, :, None] * s[:, :, None])
+        part = np.where(self.sticks, 0.0, self.slipping.pressed - self.bound * self.slipping.turning)
+        forces = (part[:, :, None] * s).reshape(number, dim * (dim - 1), 1)
+        by_pressure = -np.broadcast_to(self.slipping.slope, slope.shape)[:, :, None] * s
+        slopes = np.einsum("nak,ab->nakb", by_pressure, np.eye(dim)).reshape(number, dim * (dim - 1), dim)
+        whole = np.einsum("nakl,ab->nakbl", stiffness, np.eye(dim)).reshape(*forces.shape[:2], dim * (dim - 1))
+        if self.in_space and self.springs is not None:
+            return self.springs.in_series(self.sticks, whole, forces, slopes)
+        return whole, forces, slopes
+
+    @property
+    def slopes(self) -> Array:
+        """The derivative of σ_t at the sites by the pressures of the facet in the linear law in space."""
+        return self._linear[2].reshape(-1, self.bound.shape[1])
+
+    @property
+    def stiffness(self) -> Array:
+        """−∂σ_t/∂u_t in the linear law in space for the sites of each facet, shape (facets, 6, 6)."""
+        return self._linear[0]
 
     def resisted(self, slip: Array) -> Array:
         """What the linear law in space adds to −σ_t, of u_t at the sites."""
-        shear: Array = np.einsum("nakl,nal->nak", self.stiffness, slip.reshape(self.slipping.direction.shape))
-        return shear.ravel()
+        return np.einsum("nij,nj->ni", self.stiffness, slip.reshape(self.stiffness.shape[:2])).ravel()
 
     def pressed(self, pressure: Array) -> Array:
         """What the linear law in space adds to σ_t at the sites, of the pressure at their vertices."""
-        return np.asarray((self.slopes * pressure[:, :, None]).ravel())
+        return np.einsum("nij,nj->ni", self._linear[2], pressure).ravel()
+
+    def left(self, slip: Array, shear: Array) -> Array:
+        """What slips at vertices: u_t without what springs give way under σ_t, shape (facets, d, d − 1) each."""
+        return slip if self.springs is None else self.springs.left(slip, shear)
 
     def held_across(self, moves: Array) -> Array:
-        """What of motions of the sites in space the linear law resists where vertices slip, shape (sites, motions)."""
+        """What of motions of the sites in space the linear law resists, shape (sites, motions)."""
         s = self.slipping.direction
-        at = np.where(
-            (s.any(axis=2) & (self.bound > 0))[:, :, None, None], moves.reshape(*s.shape, moves.shape[1]), 0.0
-        )
+        resists = (s.any(axis=2) & (self.bound > 0)) | (self.sticks & ~self.held)
+        at = np.where(resists[:, :, None, None], moves.reshape(*s.shape, moves.shape[1]), 0.0)
         turning = np.broadcast_to(self.slipping.turning, self.bound.shape)[:, :, None, None]
         resisted: Array = at - turning * s[:, :, :, None] * np.einsum("nak,nakm->nam", s, at)[:, :, None]
         return resisted.reshape(moves.shape)
@@ -195,7 +209,8 @@ class FrictionBounds:
         if not self.in_space:
             _, above, off = self.chains.distances(slip.ravel(), shear.ravel(), unit.ravel())
             return above.reshape(unit.shape), off.reshape(unit.shape)
-        size, left = np.linalg.norm(shear, axis=2), shear + shortened(unit[:, :, None] * slip - shear, self.bound)
+        size, slip = np.linalg.norm(shear, axis=2), self.left(slip, shear)
+        left = shear + shortened(unit[:, :, None] * slip - shear, self.bound)
         return np.maximum(size - self.bound, 0.0), np.asarray(np.linalg.norm(left, axis=2))
 
     def fixed(self) -> FrictionBounds:
@@ -317,23 +332,23 @@ def friction_bounds(
     return replace(bounds, texts=tuple(texts), springs=_springs(spaces, joint), longest=LONGEST * spaces.length)
 
 
-def _springs(spaces: ElasticSpaces, joint: Mapping[str, Given]) -> Array | float:
-    """The stiffness along joints at the vertices; ∞ on other parts with friction (collective).
+def _springs(spaces: ElasticSpaces, joint: Mapping[str, Given]) -> SpringsAlong | None:
+    """The springs along joints (collective).
 
     Raises:
-        InputError: If it is not positive, or in space.
+        InputError: If a stiffness is not positive.
     """
     if not joint:
-        return np.inf
-    if spaces.dim == 3:
-        raise InputError("joint_springs: springs along a joint are there in the plane only")
-    springs = np.full((len(spaces.rough.facets), 2), np.inf)
+        return None
+    stiffness, data = np.full((len(spaces.rough.facets), spaces.dim), np.inf), []
     for part, given in joint.items():
         rows = np.flatnonzero(np.isin(spaces.rough.facets, spaces.domain.facets[part]))
-        springs[rows], _ = _lower_values(spaces, f"shear of '{part}'", given, spaces.rough.take(rows))
-    if spaces.mesh.comm.allreduce(float(springs.min(initial=np.inf)), MPI.MIN) <= 0:
+        name = f"shear of '{part}'"
+        stiffness[rows], datum = _lower_values(spaces, name, given, spaces.rough.take(rows))
+        data.append((name, datum, rows))
+    if spaces.mesh.comm.allreduce(float(stiffness.min(initial=np.inf)), MPI.MIN) <= 0:
         raise InputError("joint_springs: the stiffness along a joint must be positive")
-    return springs
+    return SpringsAlong(stiffness, data)
 
 
 def is_linear(datum: Datum) -> bool:

@@ -395,10 +395,12 @@ def add_pulls(spaces: ElasticSpaces, pulls: Sequence[Pull], tractions: Array) ->
 
 
 def neighbours(spaces: ElasticSpaces) -> tuple[Indices, Indices]:
-    """The sites near each site, those of its facet or its vertex, itself once; and the normal site of its vertex."""
+    """The sites near each site, those of its kind and facet, itself once; and the normal sites of its facet."""
     dim, (normal, slip) = spaces.dim, spaces.site_kinds
     number = np.arange(len(spaces.site_kinds))
-    near = np.full((len(number), dim), -1)
-    normal.of(near)[:] = np.repeat(normal.rows_of(number), dim, axis=0)
-    slip.of(near)[:, :2] = np.repeat(slip.of(number).reshape(-1, 2), 2, axis=0)  # of its facet, in space of its vertex
-    return near, np.append(normal.of(number), np.repeat(slip.pressing, dim - 1))
+    along = dim * (dim - 1)
+    near, pressing = np.full((len(number), max(dim, along)), -1), np.tile(number[:, None], (1, dim))
+    normal.of(near)[:, :dim] = np.repeat(normal.rows_of(number), dim, axis=0)
+    slip.of(near)[:, :along] = np.repeat(slip.of(number).reshape(-1, along), along, axis=0)
+    slip.of(pressing)[:] = np.repeat(slip.pressing, along, axis=0)
+    return near, pressing

@@ -15,6 +15,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
+from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, opposite
@@ -31,7 +32,6 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     lacked,
     not_in_the_spaces,
     with_surface,
-    without_bound,
 )
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
@@ -76,8 +76,6 @@ def check(domain: Domain, problem: ElasticProblem, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
-    if problem.joint:
-        raise InputError(f"{type(kind).__name__}: none is there with springs along a joint")
     if isinstance(kind, Energy):
         return
     if isinstance(kind, Force):
@@ -168,7 +166,7 @@ class _Beside(Beside[_Side]):
     """
 
     def __init__(self, solution: ElasticSolution, kind: Kind):
-        if why := without_bound(solution):
+        if why := pairs_without_bound(solution.spaces):
             raise InputError(f"{type(kind).__name__}: {why}")
         super().__init__(solution, kind)
 
@@ -199,7 +197,7 @@ class _Beside(Beside[_Side]):
         data = replace(solution.data, tractions=balanced.tractions, pulled=balanced.pulled)
         problem = BestDisplacement(solution.spaces, data, y, solution.spaces.split, degree_of_v(data))
         resolution = Resolution(self.spaces, of_y.solution.data)
-        mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, resolution, half=True)
+        mismatch, contact = gap_of_cells(solution, problem, of_v.v, resolution, half=True)
         oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
         squares = (np.sqrt(np.maximum(mismatch, 0.0)) + oscillation) ** 2
         total, at_sites = self.comm.allreduce(np.array([squares.sum(), contact.sum()])).tolist()

@@ -11,6 +11,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
+from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.expressions import Tree
@@ -23,7 +24,6 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     gap_of_cells,
     lacked,
     not_in_the_spaces,
-    without_bound,
 )
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
@@ -89,7 +89,7 @@ def energy(solution: ElasticSolution) -> Quantity:
     with the integral over the slaves. The last two terms are in its gap, too: so the lower bound has that of v.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
-    if why := without_bound(solution):
+    if why := pairs_without_bound(solution.spaces):
         raise InputError(f"Energy: {why}")
     if spaces.joints and data.laws.of_parts:
         raise InputError("Energy: of pairs there is none with other laws than contact and friction")
@@ -97,7 +97,7 @@ def energy(solution: ElasticSolution) -> Quantity:
     problem = BestDisplacement(spaces, data, y, spaces.split, degree_of_v(data))
     v, past = problem.minimum()
     resolution = Resolution(spaces, data)
-    mismatch, contact = gap_of_cells(solution, y, problem, v, resolution)
+    mismatch, contact = gap_of_cells(solution, problem, v, resolution)
     mismatch = np.maximum(mismatch, 0.0)
     oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
     distance, strain_of_d = y.distance + missed, lacked(problem, v, resolution)[:, 0]
@@ -134,7 +134,7 @@ def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function,
     total[0] -= float((reference * apart).sum())
     for law in problem.laws:
         total[0] += float(law.energies(problem.openings_of(v)[law.rows]).sum())
-    total[0] += float(problem.rubbed(v).sum() + problem.supports.energy(v).sum())
+    total[0] += float(problem.friction.rubbed(problem.friction.slips(v)).sum() + problem.supports.energy(v).sum())
     value, wrong = spaces.mesh.comm.allreduce(total).tolist()
     return [value - sum(float(tool.load @ tool.moved) for tool in data.tools), wrong]
 

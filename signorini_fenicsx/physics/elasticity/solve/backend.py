@@ -103,8 +103,9 @@ class ElasticBackend(TraceBackend):
 
     @property
     def on_facets(self) -> list[tuple[SiteKind, VertexLaws]]:
-        """The kinds of sites that have `VertexLaws`: that of friction where joints have springs."""
-        return super().on_facets + ([(self._slip, self.friction.laws)] if self.friction.by_springs else [])
+        """The kinds of sites that have `VertexLaws`: that of friction in the plane where joints have springs."""
+        by_springs = self.friction.springs is not None and not self.friction.in_space
+        return super().on_facets + ([(self._slip, self.friction.laws)] if by_springs else [])
 
     @property
     def chains(self) -> Chains:
@@ -283,10 +284,13 @@ class ElasticBackend(TraceBackend):
             loose = is_free(self.comm, means)
         weak = np.where(not held and self._weak.under(conditions, loose=loose), self._weak.stiffness, 0.0)
         posed = super().posed(conditions)
-        stiffness, shares = posed.imposed.springs, np.append(np.zeros(len(self._normal)), self.friction.slopes)
+        stiffness, shares = posed.imposed.springs, posed.imposed.shares
+        self._slip.of(shares)[:] = self.friction.slopes
         stiffness += np.where(self._near == np.arange(self.sites)[:, None], weak[:, None], 0.0)
-        turning = self.friction.stiffness.reshape(-1, self.spaces.dim - 1) * self._slip.measure[:, None]
-        self._slip.of(stiffness)[:, : turning.shape[1]] += turning
+        turning = self.friction.stiffness
+        self._slip.of(stiffness)[:, : turning.shape[2]] += (
+            turning.reshape(-1, turning.shape[2]) * self._slip.measure[:, None]
+        )
         imposed = replace(posed.imposed, springs=stiffness, shares=shares)
         return replace(posed, imposed=imposed, weak=weak, loose=loose)
 
@@ -344,8 +348,11 @@ class ElasticBackend(TraceBackend):
         a share. The result is the change of the flux at all sites.
         """
         assert self._last is not None
-        load, x, shares = np.zeros(len(self.system.load)), self._x.duplicate(), np.zeros(self.sites)
-        load[self._slip.unknown], self._slip.of(shares)[:] = self._slip.measure * forces, slope
+        load, x, shares = np.zeros(len(self.system.load)), self._x.duplicate(), np.zeros(self._pressing.shape)
+        load[self._slip.unknown], dim = self._slip.measure * forces, self.spaces.dim
+        self._slip.of(shares)[:] = slope[:, None] * np.tile(
+            np.repeat(np.eye(dim), dim - 1, axis=0), (len(slope) // (dim * (dim - 1)), 1)
+        )
         x.set(0.0)
         self._factors.coupled(load, x, replace(self._last.imposed, shares=shares), share)
         self._x.axpy(1.0, x)

@@ -116,8 +116,8 @@ def slipped(
         backend.turn(begin)
         off = OFF.format(changes[-1]) if changes and np.isfinite(changes[-1]) else ""
         return outcome.ended(f"{outcome.reason}{off}")
-    slip = backend.spaces.site_kinds["slip"].rows_of(outcome.iterate.p)
-    backend.turn(backend.friction.following(pressure(backend, outcome.iterate)).turned(slip))
+    pairs = map(backend.spaces.site_kinds["slip"].rows_of, (outcome.iterate.p, outcome.iterate.flux))
+    backend.turn(backend.friction.following(pressure(backend, outcome.iterate)).turned(backend.friction.left(*pairs)))
     law = backend.chains
     return replace(outcome, conditions=law.conditions(law.segments(outcome.conditions)))
 
@@ -137,7 +137,7 @@ def _following(
 ) -> FrictionBounds:
     """The linear law at u_t and σ_t with these bounds, of which a share is that by the pressure; by default all."""
     stiffness = _stiffness(backend)
-    wanted = stiffness[:, :, None] * slip - shear
+    wanted = stiffness[:, :, None] * friction.left(slip, shear) - shear
     pull, pulled = (np.linalg.norm(each, axis=2) for each in (wanted, shear))
     slips = (pull > friction.bound) & (pull > 0)
     direction = np.where(slips[:, :, None], wanted / np.where(slips, pull, 1.0)[:, :, None], 0.0)
