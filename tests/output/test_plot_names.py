@@ -1,4 +1,4 @@
-"""`[plot]`: names, units, the physical flux, level lines; words of quantities and segments; the water of dams; cells on a page."""
+"""`[plot]`: names, units, the physical flux, level lines; words of quantities, segments; water; cells on a page."""
 
 import re
 from pathlib import Path
