@@ -68,7 +68,7 @@ def naming(case: str) -> Iterator[None]:
         yield
     except InputError as error:
         words = str(error)
-        if words.startswith(("[", "h = ")):
+        if words.startswith(("[", "h = ", "element: ")):
             error.args = (f"case {case}: {'' if words[0] == '[' else '[solve] '}{words}",)
         raise
 

@@ -8,6 +8,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.complaints import naming
 from signorini_fenicsx.cases.domains import LastMesh
 from signorini_fenicsx.physics.diffusion.case import Case
 
@@ -170,3 +171,11 @@ def test_runs_on_one_mesh_share_it():
     assert meshes(case.with_values({"problem.f": "x", "solve.algorithm": "alg4"}), MPI.COMM_SELF) is first
     assert meshes(case.with_values({"solve.h": 0.25}), MPI.COMM_SELF) is not first
     assert meshes(case, MPI.COMM_SELF) is not first
+
+
+@pytest.mark.parametrize("words", ["[time] scheme: no", "h = 1 is no", "element: there is no RT1"])
+def test_what_only_a_solver_finds_names_the_case(words: str):
+    """A sentence about a key of a case names the case, and the section where it does not."""
+    section = "" if words[0] == "[" else r"\[solve\] "
+    with pytest.raises(InputError, match=f"^case dam: {section}"), naming("dam"):
+        raise InputError(words)
