@@ -119,24 +119,35 @@ def test_backends_regions_quantities_and_files(tmp_path: Path):
     conditions = [Signorini("bottom", psi=-0.05), Neumann(["left", "right"], 0)]
     problem = Diffusion(f=1, kappa="1 + x*y", b=B, conditions=conditions)
     fine = solve(build_domain(COMM, "square", 0.08, mesh="structured"), problem, RT1)
-    values = fine.flux_through("bottom"), fine.spaces.integrate(fine.u * ufl.dx)
+    values = fine.flux_through("bottom"), fine.spaces.integrate(fine.u * ufl.dx), fine.quantity(Energy()).middle
     for element in ("RT0", "RT1"):
         solution = solve(square, problem, Options(element=element))
         mixed = solve(square, problem, Options(element=element, backend="mixed"))
         assert solution.norms() == pytest.approx(mixed.norms(), rel=1e-9)
-        for kind, value in zip((Flux("bottom"), Mean()), values, strict=True):
+        for kind, value in zip((Flux("bottom"), Mean(), Energy()), values, strict=True):
             quantity = solution.quantity(kind)
             assert quantity.proved
             assert quantity.lower < value < quantity.upper
         write_solution(solution, tmp_path / element)
         read = load_solution(tmp_path / element, COMM)
         assert read.certify().bound == pytest.approx(solution.certify().bound, rel=1e-9)
-    with pytest.raises(InputError, match="none with a given flux b"):
-        solution.quantity(Energy())
     with pytest.raises(InputError, match="alg1 to alg4"):
         solve(square, problem, Options(algorithm="qp"))
     with pytest.raises(InputError, match="vector with 2 components"):
         solve(square, Diffusion(f=1, b=[1, 2, 3]))
+
+
+@pytest.mark.parametrize(("element", "width"), [("RT0", 3e-2), ("RT1", 6e-3)])
+@pytest.mark.parametrize(("b", "f"), [("exp(x)", "2 - exp(x)"), ("x^2", "2 - 2*x")])
+def test_energy(element: str, width: float, b: str, f: str):
+    """The energy ½(κ∇u, ∇u) + (b, ∇u) − (f, u) of u = x(1 − x) is −1/6 and proved, where ∇·b + f = 2."""
+    conditions = [Dirichlet(["left", "right"], 0), Neumann(["bottom", "top"], 0)]
+    square = build_domain(COMM, "square", 0.36, mesh="structured")
+    found = solve(square, Diffusion(f=f, b=[b, 0], conditions=conditions), Options(element=element)).quantity(Energy())
+    assert found.proved
+    assert found.lower < -1 / 6 < found.upper
+    assert found.lower < found.value < found.upper
+    assert found.width < width
 
 
 @pytest.mark.parametrize("options", ALL[:2])

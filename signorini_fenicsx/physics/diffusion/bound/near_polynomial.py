@@ -31,8 +31,10 @@ from signorini_fenicsx.expressions.products import EXACT, Products, products
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.simplices import barycentric_gradients, interpolated
 from signorini_fenicsx.expressions.tree import polynomial_degree
+from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
+from signorini_fenicsx.physics.diffusion.bound.mismatch import Squares
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST
 
 SHARP = 1e-3
@@ -117,11 +119,19 @@ class NearPolynomial:
         return total + _with_rest(seen, squares, self.delta[near], found[:, near], measure[near])
 
     def of_gradient(self, hidden: Array) -> Array:
-        """The integral of κ∇v·∇v; quadrature may miss `hidden` of its root, per owned cell (collective)."""
-        squares = self.pair.energies.squares(None, self.pair.trace)
+        """The integral of κ∇v·∇v + 2b·∇v; quadrature may miss `hidden` of the root of the first, per owned cell.
+
+        Collective. It is ‖κ^½∇v + κ^-½b_h‖² − ‖κ^-½b_h‖² and twice the product of ∇v with b − b_h, see `added_flux`.
+        """
+        less_b, energies = self.pair.solution.data.less_b(self.pair.solution.spaces), self.pair.energies
+        squares = energies.squares(less_b, self.pair.trace)
         rest = hidden * (2 * np.sqrt(squares.most) + hidden)
-        middle, radius = (squares.small - squares.large) / 2, (squares.small + squares.large) / 2 + rest
-        return np.array([(squares.seen + middle).sum(), radius.sum()])
+        found = _middle(squares) + np.array([0.0, rest.sum()])
+        if less_b is None:
+            return found
+        of_b, beside = energies.squares(less_b), beside_b(self.pair.resolution, self.pair.metric)
+        off = 2 * beside @ (np.sqrt(squares.most) + np.sqrt(of_b.most) + hidden)
+        return found + _middle(of_b) * np.array([-1.0, 1.0]) + np.array([0.0, off])
 
     def on_facets(self, datum: Datum, facets: Entities, enough: float, *, jump: bool = False) -> Array:
         """The integral of a datum times v over boundary facets; inside the domain of its jump (collective)."""
@@ -220,6 +230,13 @@ class NearPolynomial:
             self.pair.solution.spaces.frame,
             enough,
         )
+
+
+def _middle(squares: Squares) -> Array:
+    """The sum of squares and its radius, on this rank."""
+    return np.array(
+        [(squares.seen + (squares.small - squares.large) / 2).sum(), (squares.small + squares.large).sum() / 2]
+    )
 
 
 def _of_linear(function: fem.Function, degree: int) -> Array:

@@ -149,6 +149,12 @@ class Data(DataOfU):
         """A flux less b: the κ∇u of σ (collective)."""
         return flux if self.b is None else self.b.taken_from(flux, self.kappa)
 
+    def less_b(self, spaces: Spaces) -> CellFlux | None:
+        """−b by the quadratics near it; None without b (collective)."""
+        nothing = np.zeros(len(spaces.cell_measures))
+        zero = CellFlux(spaces, np.zeros((len(nothing), spaces.mesh.topology.dim)), nothing)
+        return None if self.b is None else self.driving(zero)
+
     def extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest mean of u_D, of ψ on the boundary, and of references in Ω; 0 without any.
 

@@ -73,11 +73,8 @@ def check(domain: Domain, problem: Problem, kind: Kind) -> None:
         InputError: If a name is unknown, or the quantity is given by the data.
     """
     if isinstance(kind, Energy):
-        if problem.b is not None or problem.boundary.pairs:
-            without = (
-                "with a given flux b" if problem.b is not None else "where surfaces that share no nodes are paired"
-            )
-            raise InputError(f"Energy: there is none {without}")
+        if problem.boundary.pairs:
+            raise InputError("Energy: there is none where surfaces that share no nodes are paired")
         return
     if not isinstance(kind, Flux | Integral):
         raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
@@ -381,7 +378,7 @@ def _of_laws(admissible: Admissible, near: NearPolynomial, enough: float) -> Arr
 def _of_energy(solution: Solution, goal: Goal) -> float:
     """½(κ⁻¹σ_h, σ_h) + ½(cu, u) − (f, u) − ⟨g_N, u⟩ on Γ_N, and φ of the laws at p_h and u_h (collective).
 
-    Here u is the function with the gradient κ_h⁻¹σ_h and the mean u_h on each cell.
+    Here u is the function with the gradient κ_h⁻¹(σ_h − b) and the mean u_h on each cell. With b it is less ½(κ⁻¹b, b).
     """
     spaces, data, mesh = solution.spaces, solution.data, solution.spaces.mesh
     laws = (*data.inside.of_regions, *goal.parts)
@@ -390,6 +387,8 @@ def _of_energy(solution: Solution, goal: Goal) -> float:
     rule = positive_quadrature(mesh.basix_cell(), degree)
     metric = cell_metric(spaces, data)
     total = float(metric.squares(solution.cell_flux).sum()) / 2
+    if (less_b := data.less_b(spaces)) is not None:
+        total -= float(metric.squares(less_b).sum()) / 2
     for points in in_cells(mesh, owned_cells(mesh), *rule):
         v = solution.cell_potential.at(points)
         load = data.f.values(points) + (0.0 if data.memory is None else in_points(data.memory, points))
