@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
-from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
+from signorini_fenicsx.cases.complaints import complaint, keys_of, shown, told
 from signorini_fenicsx.cases.data_section import DataSection
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.parts import Named, PartLists, Section
@@ -139,13 +139,26 @@ class CaseFile(Section):
         """The parts that may be inside the domain: those with a law."""
         return [part for law in self.law for part in law.parts]
 
-    def posed(self, dim: int, step: int | None = None) -> Any:
-        """The problem, in time of a step or with t in it, sorted by the kinds of its boundary, as `Solver` takes it.
+    def posed(self, dim: int) -> Any:
+        """The problem, in time with t in it, sorted by the kinds of its boundary, as `Solver` takes it.
 
         Raises:
             InputError: If an expression cannot be read.
         """
         raise NotImplementedError
+
+    def at_step(self, posed: Any, step: int | None, dim: int) -> Any:
+        """The problem of a step, from that with t in it; itself if there are no steps.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        if step is None or self.time is None:
+            return posed
+        return self._of_step(posed.in_time(dim), self.time.evolution(), step, dim)
+
+    def _of_step(self, posed: Any, evolution: Evolution, step: int, _dim: int) -> Any:
+        return posed.at(evolution.time(step))
 
     @property
     def last_time(self) -> float | None:
@@ -277,12 +290,9 @@ class CaseFile(Section):
     def _check_expressions(self, dim: int) -> None:
         x = reference_coordinate(dim)
         for place, text, may_move in self.texts():
-            try:
-                if place.startswith("[problem] kappa") and depends_on(read(text, "xyz"[:dim] + "tu"), "u"):
-                    continue
-                parse_expression(text, x, self.last_time if may_move else None)
-            except InputError as error:
-                raise ValueError(f"{place}: {error}") from None
+            with told(f"{place}: "):
+                if not place.startswith("[problem] kappa") or not depends_on(read(text, "xyz"[:dim] + "tu"), "u"):
+                    parse_expression(text, x, self.last_time if may_move else None)
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy with new values of keys such as `solve.h` or `geometry.mesh`.
@@ -343,7 +353,7 @@ def case_of(tree: dict[str, Any], path: Path) -> Any:
             return validated(PHYSICS[DIFFUSION].case, tree, path.stem, str(path))
         except InputError as error:
             raise InputError(f"{error}{_of_other_physics(tree)}") from None
-    if not isinstance(tree["physics"], str) or tree["physics"] not in _others():
+    if not isinstance(tree["physics"], str) or not _is_other(tree["physics"]):
         names = " or ".join(f'"{name}"' for name in _others())
         raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {names}, or leave it out")
     model = PHYSICS[tree["physics"]].case
@@ -355,7 +365,12 @@ def case_of(tree: dict[str, Any], path: Path) -> Any:
 
 def _others() -> list[str]:
     """The physics with case files, but for diffusion."""
-    return [name for name, physics in PHYSICS.items() if name != DIFFUSION and physics.case is not None]
+    return [name for name in PHYSICS if _is_other(name)]
+
+
+def _is_other(name: str) -> bool:
+    """Whether this is a physics with case files, but for diffusion; imports no other one."""
+    return name in PHYSICS and name != DIFFUSION and PHYSICS[name].case is not None
 
 
 def _of_other_physics(tree: dict[str, Any]) -> str:

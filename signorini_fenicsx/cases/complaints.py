@@ -62,6 +62,15 @@ def shown(value: object) -> str:
 
 
 @contextlib.contextmanager
+def told(where: str = "") -> Iterator[None]:
+    """Tell pydantic what is refused: for an InputError there is a ValueError with the same words behind this place."""
+    try:
+        yield
+    except InputError as error:
+        raise ValueError(f"{where}{error}") from None
+
+
+@contextlib.contextmanager
 def naming(case: str) -> Iterator[None]:
     """Name the case in messages about its keys that only what solves it can find."""
     try:

@@ -5,8 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.complaints import shown
+from signorini_fenicsx.cases.complaints import shown, told
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.values import Positive, ShapeName, choice, number
 from signorini_fenicsx.meshes.bodies import Bodies, Body, check_name
@@ -85,10 +84,8 @@ def _bodies(value: object) -> object:
     if not isinstance(value, Mapping) or not value:
         raise ValueError(f"must be a table with a file or a shape for each name, not {shown(value)}")
     for name in value:
-        try:
+        with told():
             check_name(name)
-        except InputError as error:
-            raise ValueError(str(error)) from None
     return {name: {"file": body} if isinstance(body, str) else body for name, body in value.items()}
 
 

@@ -165,7 +165,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     with doing("assembly"):
         dim = domain.mesh.geometry.dim
         posed = case.posed(dim)
-        check_quantities_of(case, domain, posed if case.time is None else case.posed(dim, 1))
+        check_quantities_of(case, domain, case.at_step(posed, 1, dim))
         system = system_on(domain, posed)
         spaces, contact = system.spaces, next(iter(system.boundary.named))
         if case.time is None:

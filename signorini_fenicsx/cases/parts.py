@@ -7,8 +7,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.complaints import keys_of
+from signorini_fenicsx.cases.complaints import keys_of, told
 from signorini_fenicsx.meshes.checks import key_of
 
 
@@ -23,10 +22,8 @@ class Description(Section):
 
     @model_validator(mode="after")
     def _can_be_made(self) -> Self:
-        try:
+        with told():
             self.made()
-        except InputError as error:
-            raise ValueError(str(error)) from None
         return self
 
     def made(self) -> Any:

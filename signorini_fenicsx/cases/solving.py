@@ -147,10 +147,11 @@ def evolve_case(
     with naming(case.name):
         place = domain or mesh_case(case, comm)
         dim = place.mesh.geometry.dim
-        check_quantities_of(case, place, case.posed(dim, 1))
+        posed = case.posed(dim)
+        check_quantities_of(case, place, case.at_step(posed, 1, dim))
     return evolve(
         place,
-        case.posed(dim),
+        posed,
         case.time.evolution(),
         options_of(case, tuning),
         start=start,

@@ -5,9 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
-from signorini_fenicsx.cases.complaints import shown
+from signorini_fenicsx.cases.complaints import shown, told
 from signorini_fenicsx.expressions import parse_number
 from signorini_fenicsx.meshes.shapes import full_name
 
@@ -20,10 +19,8 @@ def number(value: object) -> object:
     if isinstance(value, bool):
         raise ValueError("must be a number, not true or false")
     if isinstance(value, str):
-        try:
+        with told():
             value = parse_number(value)
-        except InputError as error:
-            raise ValueError(str(error)) from None
     return _not_huge(value)
 
 
@@ -52,10 +49,8 @@ def choice(kind: str, names: tuple[str, ...]) -> BeforeValidator:
 
 
 def _shape(value: object) -> str:
-    try:
+    with told():
         return full_name(value if isinstance(value, str) and len(value) < 100 and value.isprintable() else shown(value))
-    except InputError as error:
-        raise ValueError(str(error)) from None
 
 
 def within(low: float, high: float) -> AfterValidator:

@@ -1,7 +1,9 @@
 """Conditions on parts of the boundary, as the problems of all physics are given by them."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar, Self
 
 import dolfinx.mesh
 import numpy as np
@@ -9,8 +11,68 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.contact.law import OnParts
+from signorini_fenicsx.contact.law import Law, OnParts
+from signorini_fenicsx.expressions.given import at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import Domain, other_side
+from signorini_fenicsx.meshes.paired_parts import named_laws
+
+
+class OnBoundary:
+    """A problem sorted by the kinds of its boundary, as `on` of the problem of a user makes it; a dataclass.
+
+    Attributes:
+        boundary: The parts of each kind.
+        laws: The laws on parts, of bodies with friction.
+        numbers: For each law that of its condition, by which messages call it; () if each has one.
+        no_data: The fields that are no data.
+    """
+
+    boundary: Any
+    laws: Sequence[Law]
+    numbers: Sequence[int] = ()
+    no_data: ClassVar[Collection[str]]
+
+    @property
+    def named_laws(self) -> list[tuple[str, Law]]:
+        """All laws with their names in messages."""
+        return named_laws(self.laws, self.boundary.pairs, self.numbers)
+
+    def in_time(self, dim: int) -> Self:
+        """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
+
+        Raises:
+            InputError: If a text cannot be read.
+        """
+        return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t" + self.of_u(key), key))
+
+    def at(self, t: float) -> Self:
+        """The problem at a time, from one that `in_time` has read."""
+        return self._changed(lambda _, given: at_time(given, t))
+
+    @staticmethod
+    def of_u(_key: str) -> str:
+        """The name u for a datum that may depend on it; empty for the others."""
+        return ""
+
+    def _changed(self, change: Callable[[str, Any], Any]) -> Self:
+        """The problem with changed data, also those of the laws, see `with_data`."""
+        laws = tuple(law.with_data(partial(_changed_in, name, change)) for name, law in self.named_laws)
+        return replace(with_data(self, change, but=self.no_data), laws=laws)  # type: ignore[type-var]
+
+
+def _changed_in(law: str, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:
+    """A datum of the law with this name, changed under the name of it that messages have."""
+    return change(f"{law}.{key.partition('.')[2]}", given)
+
+
+def check_laws(laws: object, example: str) -> None:
+    """Refuse what is no list of laws.
+
+    Raises:
+        InputError: If it is none.
+    """
+    if not isinstance(laws, Sequence) or not all(isinstance(law, Law) for law in laws):
+        raise InputError(f"laws: must be a list of laws, such as [{example}]")
 
 
 def check_conditions(conditions: object, *kinds: Any, example: str) -> None:
@@ -34,6 +96,11 @@ def check_conditions(conditions: object, *kinds: Any, example: str) -> None:
                 raise InputError(f"conditions: part '{part}' has two conditions")
             listed.add(part)
         masters |= opposite
+
+
+def by_part(conditions: Sequence[Any], *kinds: Any) -> dict[str, Any]:
+    """The condition on each part that has one of these kinds."""
+    return {part: each for each in conditions if isinstance(each, kinds) for part in each.parts}
 
 
 def names_all(domain: Domain, conditions: Sequence[Any]) -> bool:

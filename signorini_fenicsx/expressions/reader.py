@@ -53,9 +53,9 @@ type Read = tuple[Tree, float | None]
 class _Reader:
     """The reader of one syntax tree; node types that are not named here are refused."""
 
-    def __init__(self, source: str, names: Collection[str]):
+    def __init__(self, source: str):
         self.source = source
-        self.names = [*names]  # of a text its letters, not its pieces
+        self.names: dict[str, None] = {}  # that the text has, in their order
         self.depth = 0
 
     def enter(self, levels: int) -> None:
@@ -82,8 +82,7 @@ class _Reader:
             case ast.Name(id="pi"):
                 return PI, PI.value
             case ast.Name(id=name):
-                if name not in self.names:
-                    raise InputError(f"unknown name '{name}'; known are {', '.join(['pi', *self.names])}")
+                self.names[name] = None
                 return Coordinate(name), None
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 tree, constant = self.value(operand)
@@ -166,12 +165,13 @@ class _Reader:
 
 
 @functools.lru_cache(maxsize=1000)
-def _read(text: str, names: tuple[str, ...]) -> Read:
-    """Read a tree, each text of a run once; ^ is replaced by **, because Python's own ^ binds weaker than +."""
+def _read(text: str) -> tuple[Read, list[str]]:
+    """Read a tree and the names in it, each text of a run once; ^ becomes **, as Python's own ^ binds weaker than +."""
     source = text.strip().replace("^", "**")
     with warnings.catch_warnings(action="ignore"):  # Python warns of texts such as 1if x>0 else 2
         node = ast.parse(source, mode="eval").body
-    return _Reader(source, names).value(node)
+    reader = _Reader(source)
+    return reader.value(node), [*reader.names]
 
 
 def read(text: str, names: Collection[str]) -> Tree:
@@ -190,7 +190,10 @@ def read(text: str, names: Collection[str]) -> Tree:
     if len(text) > MAX_LENGTH:
         raise InputError(f"expression of {len(text)} characters; at most {MAX_LENGTH} are read")
     with _complaints(text, names):
-        return _read(text, tuple(names))[0]
+        (tree, _), found = _read(text)
+        if unknown := [name for name in found if name not in set(names)]:  # of a text its letters, not its pieces
+            raise InputError(f"unknown name '{unknown[0]}'; known are {', '.join(['pi', *names])}")
+        return tree
 
 
 @contextlib.contextmanager
@@ -267,7 +270,7 @@ def parse_number(text: str) -> float:
         InputError: If the text is not such a number.
     """
     try:
-        value = _read(text, ())[1] if len(text) <= MAX_LENGTH else None
+        value = _read(text)[0][1] if len(text) <= MAX_LENGTH else None
     except (InputError, SyntaxError, ArithmeticError, ValueError, RecursionError, MemoryError):
         value = None
     if value is None:

@@ -342,8 +342,8 @@ def _read_problem(checkpoint: Checkpoint) -> Any:
     Raises:
         InputError: If the file does not have all data.
     """
-    if checkpoint.case is not None:
-        return checkpoint.case.posed(checkpoint.dim, checkpoint.about.step)
+    if (case := checkpoint.case) is not None:
+        return case.at_step(case.posed(checkpoint.dim), checkpoint.about.step, checkpoint.dim)
     given = _given(checkpoint)
     laws = tuple(_law(checkpoint.keeping, table) for table in given.laws)
     data = given.problem | {"boundary": checkpoint.boundary} | ({"laws": laws} if laws else {})

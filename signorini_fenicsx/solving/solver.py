@@ -246,7 +246,8 @@ class Solver[S: Solved]:
         """
         check_kind("domain", domain, Domain)
         domain = with_sides(domain, problem)
-        self._system = system_on(domain, sorted_on(domain, problem))
+        self._sorted = problem, sorted_on(domain, problem)
+        self._system = system_on(domain, self._sorted[1])
 
     @classmethod
     def of(cls, solution: Solved, problem: Any) -> "Solver[Any]":
@@ -258,7 +259,7 @@ class Solver[S: Solved]:
         if system is None or problem.boundary != system.boundary:
             return Solver(solution.spaces.domain, problem)
         solver: Solver[Any] = cls.__new__(cls)
-        solver._system = system
+        solver._system, solver._sorted = system, (problem, problem)
         return solver
 
     @property
@@ -299,7 +300,7 @@ class Solver[S: Solved]:
         options, watch = Options.of(options), watch or Stopwatch()
         system, comm = self._system, self.spaces.mesh.comm
         with watch.phase("assembly"):
-            data = sorted_on(self.spaces.domain, problem)
+            data = self._sorted[1] if problem is self._sorted[0] else sorted_on(self.spaces.domain, problem)
             if with_sides(self.spaces.domain, problem) is not self.spaces.domain:
                 raise InputError("side: the named side of a part is not the one that the solver was set up for")
             if data.boundary.physics != system.boundary.physics:

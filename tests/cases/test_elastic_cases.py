@@ -12,6 +12,7 @@ from commands import read_rows, signorini
 from elastic import box
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import quantities_of, solve_case
@@ -66,9 +67,20 @@ def test_hertz():
     found = []
     for size in (1.0, 2.0):
         domain = box(COMM, round(20 * size), [0.0, 0.0], [size, size])
-        boundary = ElasticBoundary(["y0"], neumann=["y1", "x1"], fixed={"x0": "x"})
-        g_N = {"y1": ["0", str(-load / 2 / size)]}
-        solution = solve(domain, ElasticProblem(1.0, nu, g_N=g_N, gap="x^2/2", boundary=boundary))
+        pressed = ["0", str(-load / 2 / size)]
+        solution = solve(
+            domain,
+            Elasticity(
+                1.0,
+                nu,
+                conditions=[
+                    Contact("y0", "x^2/2"),
+                    Dirichlet("x0", 0, components="x"),
+                    Neumann("y1", pressed),
+                    Neumann("x1", 0),
+                ],
+            ),
+        )
         assert solution.contact[1] == pytest.approx(a, abs=1 / 20)
         x, pressure = solution.spaces.contact.vertices[:, :, 0].mean(axis=1), solution.pressure.mean(axis=1)
         inside = x < 0.7 * a
@@ -178,8 +190,19 @@ def test_bad_cases(tmp_path: Path, old: str, new: str, message: str):
 def test_von_mises_and_table():
     """A uniform compression in plane strain: σ_yy = −q, σ_zz = −νq."""
     domain = box(COMM, 2, [0.0, 0.0], [1.0, 1.0])
-    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
-    solution = solve(domain, ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.1"]}, boundary=boundary))
+    solution = solve(
+        domain,
+        Elasticity(
+            1.0,
+            0.3,
+            conditions=[
+                Contact("y0"),
+                Dirichlet("x0", 0, components="x"),
+                Neumann("y1", ["0", "-0.1"]),
+                Neumann("x1", 0),
+            ],
+        ),
+    )
     stresses = in_space(solution.spaces, solution.data, solution.stresses)
     np.testing.assert_allclose(von_mises(stresses), 0.1 * np.sqrt(1 - 0.3 + 0.3**2), rtol=1e-10)
     table = solution.table().gathered(COMM)
@@ -191,9 +214,13 @@ def test_von_mises_and_table():
 
 def test_pictures_tell_fixed_parts_from_loaded_ones():
     """A plane of symmetry is not drawn as Γ_N."""
-    boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
-    problem = ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"])
-    body = gathered_scene(solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        u_D=["0", "-0.1"],
+        conditions=[Contact("y0"), Dirichlet("x0", ["0", "-0.1"], components="n"), Neumann("x1", 0)],
+    )
+    body = gathered_scene(solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), problem))
     assert body is not None
     middle = body.fields.points[body.boundary.vertices].mean(axis=1)
     for kind, x in ((PARTLY_FIXED, 0.0), (NEUMANN, 1.0)):
@@ -241,9 +268,9 @@ def test_scalar_options_are_refused(tmp_path: Path):
 
 def test_energy_difference_is_that_of_the_energies():
     """Without sets that change, ‖σ_fine − σ_coarse‖ by quadrature is what Galerkin's orthogonality gives."""
-    u_D, boundary = ["0.1*y*x", "-0.2 + x*y^2"], ElasticBoundary(["x1"])
-    problem = ElasticProblem("1 + x", 0.3, u_D=u_D, gap=10.0)
-    coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)) for n in (2, 4))
+    u_D = ["0.1*y*x", "-0.2 + x*y^2"]
+    problem = Elasticity("1 + x", 0.3, u_D=u_D, conditions=[Contact("x1", 10.0)])
+    coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem) for n in (2, 4))
     found = differences(coarse, fine)
     assert isinstance(found, ElasticDifferences)
     one, other = (solution.norms()["energy"] for solution in (coarse, fine))

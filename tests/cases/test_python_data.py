@@ -8,11 +8,10 @@ from dolfinx import fem
 from dolfinx.mesh import create_unit_square
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Diffusion, Elasticity, Signorini
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
@@ -54,7 +53,7 @@ def test_functions_and_ufl():
         ),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(domain, Problem(f=given, boundary=Boundary(["bottom"])))
+            solve(domain, Diffusion(f=given, conditions=[Signorini("bottom")]))
     for given, message in [
         (lambda x: x[:2] * 1j, of_points + "must give real numbers, not complex128"),
         (lambda x: x, of_points + "fails: ValueError: it must give 2 rows, not an array of shape"),
@@ -62,7 +61,7 @@ def test_functions_and_ufl():
         (["x", "1)"], r"^\[problem\] f: expression '1\)' is not .* the '\)' at character 2 closes nothing"),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(domain, ElasticProblem(1.0, 0.3, f=given, boundary=ElasticBoundary(["bottom"])))
+            solve(domain, Elasticity(1.0, 0.3, f=given, conditions=[Contact("bottom")]))
 
 
 def test_functions_are_asked_in_the_mesh_alone():
@@ -75,13 +74,13 @@ def test_functions_are_asked_in_the_mesh_alone():
 
     mesh = dolfinx.mesh.create_rectangle(COMM, [[1.0, 1.0], [2.0, 2.0]], [2, 2])
     domain = domain_of(mesh, {"bottom": lambda x: np.isclose(x[1], 1)})
-    assert solve(domain, Problem(f=table, boundary=Boundary(["bottom"]))).converged
+    assert solve(domain, Diffusion(f=table, conditions=[Signorini("bottom")])).converged
 
 
 @pytest.mark.parallel(2)
 def test_data_that_differ_between_ranks_do_not_part_them():
     """What is kept of earlier data is taken by all ranks or by none; else one would wait for the others for ever."""
     _, domain = unit_square()
-    solver = Solver(domain, Problem(0, boundary=Boundary(["bottom"])))
+    solver = Solver(domain, Diffusion(0, conditions=[Signorini("bottom")]))
     for psi, f in ((-0.1, 1.0), (-0.1, 1.0 + 1e-15 * COMM.rank), (-0.1 - 1e-15 * COMM.rank, 1.0)):
-        assert solver.solve(Problem(f=f, psi=psi, kappa=2.0, boundary=Boundary(["bottom"]))).converged
+        assert solver.solve(Diffusion(f=f, kappa=2.0, conditions=[Signorini("bottom", psi)])).converged

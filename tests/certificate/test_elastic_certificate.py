@@ -14,6 +14,7 @@ from makers.bodies import energy_difference, measured
 from measuring.korn import bound_of, korn_constant, moment_error, trace_constant
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import certify
@@ -39,7 +40,7 @@ def test_bound_is_near_a_singular_error(nu: float):
     """In contact that ends with σ ~ r^½ the bound is at most 1.27 times the error; by quadratics alone 1.63."""
     u = half_plane_contact(nu)
     solution = solve(
-        box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), ElasticProblem(1.0, nu, u_D=u, exact=u, boundary=ElasticBoundary(["y0"]))
+        box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), Elasticity(1.0, nu, u_D=u, exact=u, conditions=[Contact("y0")])
     )
     errors, certificate = solution.errors(), certify(solution)
     assert errors is not None
@@ -51,7 +52,7 @@ def test_bound_is_near_a_singular_error(nu: float):
 def test_loads_that_are_polynomials():
     """The bound is guaranteed; what the load does within cells has the order of the error."""
     load = ["2*y*(1 - y) + x*(1 - x)", "-(1 - 2*x)*(1 - 2*y)/2"]
-    problem = ElasticProblem(1.0, 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
+    problem = Elasticity(1.0, 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
     for n, most in ((2, 1.25), (8, 1.13)):
         solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem)
         errors, certificate = solution.errors(), certify(solution)
@@ -64,9 +65,12 @@ def test_loads_that_are_polynomials():
 @pytest.mark.parametrize("dim", [2, 3])
 def test_as_many_cells_of_a_higher_degree_as_are_allowed(dim: int, monkeypatch: pytest.MonkeyPatch):
     """If those with most of the gap are too many, the largest of them still make the bound smaller."""
-    boundary = ElasticBoundary(["xyz"[dim - 1] + "0"], neumann=["x1"])
-    problem = ElasticProblem(
-        1.0, 0.3, u_D=["0"] * (dim - 1) + ["-0.1*x"], gap="0.1", f=["0.1"] * dim, boundary=boundary
+    problem = Elasticity(
+        1.0,
+        0.3,
+        u_D=["0"] * (dim - 1) + ["-0.1*x"],
+        f=["0.1"] * dim,
+        conditions=[Contact("xyz"[dim - 1] + "0", "0.1"), Neumann("x1", 0)],
     )
     solution = solve(box(COMM, {2: 6, 3: 2}[dim], [0.0] * dim, [1.0] * dim), problem)
     bounds = []
@@ -80,10 +84,15 @@ def test_tractions_that_are_polynomials():
     """The bound is guaranteed for tractions of degree 3; those of components that are fixed do not count."""
     shear = "(x^3 + 2*x*y^2)/2"
     tractions = {"x1": ["3*x^2*y", shear], "y1": [shear, "2*x^2*y"], "x0": ["99*y^3", "0"]}
-    problem = ElasticProblem(1.0, 0.0, f=["-8*x*y", "-7*x^2/2 - y^2"], g_N=tractions, exact=["x^3*y", "x^2*y^2"])
-    boundary = ElasticBoundary([], neumann=["x1", "y1"], fixed={"x0": "n"})
+    problem = Elasticity(
+        1.0,
+        0.0,
+        f=["-8*x*y", "-7*x^2/2 - y^2"],
+        exact=["x^3*y", "x^2*y^2"],
+        conditions=[Dirichlet("x0", 0, components="n"), *(Neumann(*each) for each in tractions.items())],
+    )
     for n in (2, 8):
-        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
+        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem)
         errors, certificate = solution.errors(), certify(solution)
         assert errors is not None
         assert certificate.guaranteed
@@ -95,9 +104,8 @@ def test_tractions_that_the_mesh_does_not_see(dim: int):
     """Where g_N is orthogonal to linear fields on all facets σ_h is 0, and only the constant bounds the error."""
     ends = [0.0] * dim, [1.0] * dim
     legendre = "20*x^3 - 30*x^2 + 12*x - 1" if dim == 2 else "20*y^3 - 30*y^2 + 12*y - 1"
-    boundary = ElasticBoundary([], neumann=["yz"[dim - 2] + "1"])
-    problem = ElasticProblem(1.0, 0.3, g_N=["0"] * (dim - 1) + [legendre])
-    solution, fine = (solve(box(COMM, n, *ends), replace(problem, boundary=boundary)) for n in (1, {2: 8, 3: 4}[dim]))
+    problem = Elasticity(1.0, 0.3, conditions=[Neumann("yz"[dim - 2] + "1", ["0"] * (dim - 1) + [legendre])])
+    solution, fine = (solve(box(COMM, n, *ends), problem) for n in (1, {2: 8, 3: 4}[dim]))
     certificate = certify(solution)
     assert certificate.guaranteed
     assert fine.norms()["energy"] <= certificate.sigma_bound
@@ -110,9 +118,10 @@ def test_a_body_of_two_materials():
     domain = replace(
         domain, regions={"soft": np.flatnonzero(middle[:, 1] < 0.5), "hard": np.flatnonzero(middle[:, 1] > 0.5)}
     )
-    problem = ElasticProblem({"soft": 1.0, "hard": 3.0}, 0.0, u_D=["0", "-0.1"])
-    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
-    solution = solve(domain, replace(problem, boundary=boundary))
+    problem = Elasticity(
+        {"soft": 1.0, "hard": 3.0}, 0.0, u_D=["0", "-0.1"], conditions=[Contact("y0"), Neumann(["x0", "x1"], 0)]
+    )
+    solution = solve(domain, problem)
     certificate = certify(solution)
     assert certificate.guaranteed
     assert solution.norms()["contact_force"] == pytest.approx(0.15)
@@ -122,7 +131,7 @@ def test_a_body_of_two_materials():
 def test_a_stiffness_that_varies():
     """With texts for E and ν the bound is guaranteed; quadrature misses less of the gap than the enclosures add."""
     load = ["2*(1 + y)*y*(1 - y) + (1 + y)*x*(1 - x) - x*(1 - x)*(1 - 2*y)/2", "-(1 + y)*(1 - 2*x)*(1 - 2*y)/2"]
-    problem = ElasticProblem("1 + y", 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
+    problem = Elasticity("1 + y", 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
     for n in (2, 8):
         solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem)
         errors, certificate = solution.errors(), certify(solution)
@@ -176,10 +185,8 @@ def test_what_quadrature_misses_of_the_gap(plane: str, own: str):
 def test_a_stiffness_that_the_mesh_does_not_see():
     """A pulse of E between the points of the quadrature is told."""
     pulse = "1 + 1000*exp(-1e6*((x - 0.313)^2 + (y - 0.417)^2))"
-    problem = ElasticProblem(pulse, 0.3, u_D=["0", "-0.1"])
-    solution = solve(
-        box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=ElasticBoundary(["y0"], neumann=["x0", "x1"]))
-    )
+    problem = Elasticity(pulse, 0.3, u_D=["0", "-0.1"], conditions=[Contact("y0"), Neumann(["x0", "x1"], 0)])
+    solution = solve(box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), problem)
     certificate = certify(solution)
     assert not certificate.guaranteed
     assert certificate.reservation.startswith("young or poisson is not resolved near (0.")
@@ -245,9 +252,16 @@ def test_random_bodies(seed: int):
 
 def test_indicators_are_the_bound():
     """A symmetric half with a normal that is fixed, a gap that is curved, tractions: cells add up to the gap."""
-    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
-    problem = ElasticProblem(1.0, 0.3, g_N=["0", "-0.05 if y > 0.999999 else 0"], gap="0.1*x^2")
-    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[
+            Contact("y0", "0.1*x^2"),
+            Dirichlet("x0", 0, components="n"),
+            Neumann(["x1", "y1"], ["0", "-0.05 if y > 0.999999 else 0"]),
+        ],
+    )
+    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), problem))
     assert float((certificate.indicator.x.array**2).sum()) == pytest.approx(2 * certificate.gap, rel=1e-9)
     assert certificate.relative < 0.3
 
@@ -255,24 +269,41 @@ def test_indicators_are_the_bound():
 def test_bound_in_space():
     """In three dimensions it is the same code."""
     domain = box(COMM, 2, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
-    boundary = ElasticBoundary(["z0"], neumann=["x1", "y1"], fixed={"x0": "x", "y0": "y"})
-    problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1"], gap="0.1*(x^2 + y^2)")
-    solution = solve(domain, replace(problem, boundary=boundary))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        u_D=["0", "0", "-0.1"],
+        conditions=[
+            Contact("z0", "0.1*(x^2 + y^2)"),
+            Dirichlet("x0", ["0", "0", "-0.1"], components="x"),
+            Dirichlet("y0", ["0", "0", "-0.1"], components="y"),
+            Neumann(["x1", "y1"], 0),
+        ],
+    )
+    solution = solve(domain, problem)
     certificate = certify(solution)
     assert certificate.guaranteed
     assert certificate.relative < 0.5
-    fine = solve(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), replace(problem, boundary=boundary))
+    fine = solve(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), problem)
     assert abs(solution.norms()["energy"] - fine.norms()["energy"]) < certificate.bound
 
 
 @pytest.mark.parallel([1, 2])
 def test_adaptive_meshes_start_from_the_sets_before():
     """Refinement where the bound says so halves it with fewer unknowns than uniformly, from the contact set before."""
-    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
-    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"]}, gap="x^2/2")
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[
+            Contact("y0", "x^2/2"),
+            Dirichlet("x0", 0, components="n"),
+            Neumann("y1", ["0", "-0.02"]),
+            Neumann("x1", 0),
+        ],
+    )
 
     def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
-        return solve(domain, replace(problem, boundary=boundary), start=start)
+        return solve(domain, problem, start=start)
 
     rows: dict[float, list[AdaptRow]] = {0.5: [], 1.0: []}
     for theta, found in rows.items():
@@ -286,18 +317,27 @@ def test_adaptive_meshes_start_from_the_sets_before():
 
 def test_contact_with_two_normals_at_a_corner():
     """The stress is exact, and v is found exactly though its vertex has two conditions; the bound was 12 %."""
-    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"], "x1": ["-0.01", "0"]})
-    boundary = ElasticBoundary(["x0", "y0"], neumann=["x1", "y1"])
-    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
+    problem = Elasticity(
+        1.0, 0.3, conditions=[Contact(["x0", "y0"]), Neumann("y1", ["0", "-0.02"]), Neumann("x1", ["-0.01", "0"])]
+    )
+    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), problem))
     assert certificate.guaranteed
     assert certificate.relative < 1e-7
 
 
 def test_a_body_that_one_vertex_holds():
     """Contact at one vertex of a facet holds v against a rigid motion; without that the bound was 1e9 %."""
-    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.005"]}, gap="2*x^2")
-    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
-    solution, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)) for n in (4, 24))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[
+            Contact("y0", "2*x^2"),
+            Dirichlet("x0", 0, components="x"),
+            Neumann("y1", ["0", "-0.005"]),
+            Neumann("x1", 0),
+        ],
+    )
+    solution, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem) for n in (4, 24))
     assert solution.contact.facets == 1
     difference = energy_difference(solution, fine)
     assert difference < certify(solution).bound < 3 * difference
@@ -305,7 +345,7 @@ def test_a_body_that_one_vertex_holds():
 
 def test_grooves():
     """On a polygon each vertex of Γ_C has two normals: the bound is near the error in energy, and does not grow."""
-    problem = ElasticProblem(1.0, 0.3, u_D=["0", "-0.05"], gap="0.01", boundary=ElasticBoundary(["arc"]))
+    problem = Elasticity(1.0, 0.3, u_D=["0", "-0.05"], conditions=[Contact("arc", "0.01")])
     for h in (0.6, 0.3):
         domain = build_domain(COMM, "half_disk", h, mesh="unstructured")
         parts = {name: replace(part, nearest=None) for name, part in domain.parts.items()}  # no finer polygons
@@ -331,7 +371,7 @@ def test_flat_cells(nu: float):
     mesh = dolfinx.mesh.create_rectangle(COMM, [[0.0, 0.0], [1.0, 1.0]], [2, 40])
     mu, lame = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
     f = [f"{2 * (2 * mu + lame)}*y*(1 - y) + {2 * mu}*x*(1 - x)", f"-{lame + mu}*(1 - 2*x)*(1 - 2*y)"]
-    problem = ElasticProblem(1.0, nu, f=f, exact=["x*(1 - x)*y*(1 - y)", "0"])
+    problem = Elasticity(1.0, nu, f=f, exact=["x*(1 - x)*y*(1 - y)", "0"])
     solution = solve(domain_of(mesh, {"y0": lambda x: np.isclose(x[1], 0)}), problem)
     errors, certificate = solution.errors(), certify(solution)
     assert errors is not None
@@ -341,10 +381,8 @@ def test_flat_cells(nu: float):
 
 def test_what_a_solver_leaves():
     """A stress that does not balance its load is replaced, and its distance from the new one is in the bound."""
-    problem = ElasticProblem(1.0, 0.3, f=["0.1", "-0.2"])
-    solution = solve(
-        box(COMM, 3, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=ElasticBoundary(["y0"], neumann=["x1"]))
-    )
+    problem = Elasticity(1.0, 0.3, f=["0.1", "-0.2"], conditions=[Contact("y0"), Neumann("x1", 0)])
+    solution = solve(box(COMM, 3, [0.0, 0.0], [1.0, 1.0]), problem)
     exact, iterate = certify(solution), solution.outcome.iterate
     sigma = iterate.sigma.copy()
     sigma.x.array[:] *= 1 + 1e-4

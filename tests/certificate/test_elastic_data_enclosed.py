@@ -93,7 +93,7 @@ def test_on_ranks():
 @pytest.mark.parametrize("text", ["sin(9*x + 4*y)", "exp(-200*((x - 0.4)^2 + (y - 0.1)^2))", "1/(1.05 - x + y)", "x^7"])
 def test_what_is_lacking_is_bounded(text: str):
     """The bound is above the energy of s(t − p) by a fine quadrature, and near it."""
-    problem = ElasticProblem(1.0, 0.25, u_D=[text, "0"])
+    problem = Elasticity(1.0, 0.25, u_D=[text, "0"])
     solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), problem)
     spaces = solution.spaces
     bound, names = lifted(Resolution(spaces, solution.data), np.full(len(spaces.order), 1e9), np.empty(0))
@@ -190,7 +190,7 @@ def test_friction_that_is_negative_between_points(text: str, guaranteed: bool):
 @pytest.mark.parametrize("text", ["0.1 + x^2", "1 - x^2/2", "0.1 + (x - 0.3)^4", "x^6", "exp(x)"])
 def test_distances_to_linear_bounds_of_friction(text: str):
     """They are those by the midpoints of many parts, or a bit more, also for polynomials of low degree."""
-    problem = ElasticProblem(1.0, 0.25, laws=[Friction(["y0"], text)], boundary=ElasticBoundary(["y0"]))
+    problem = Elasticity(1.0, 0.25, conditions=[Contact("y0", friction=Tresca(text))])
     solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), problem)
     friction, facets = solution.data.friction, solution.spaces.rough
     ((_, datum, rows),) = friction.texts

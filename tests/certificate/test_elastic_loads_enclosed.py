@@ -1,6 +1,5 @@
 """Elastic loads that quadrature may miss: the constant of Korn of a body is one, and what is not resolved is told."""
 
-from dataclasses import replace
 from typing import Any
 
 import basix
@@ -13,6 +12,7 @@ from dolfinx import fem
 from elastic import box
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -41,9 +41,14 @@ def of_sines(comm: MPI.Comm, n: int) -> tuple[ElasticSolution, Certificate]:
         "x1": ["12*y*cos(2)/5 + 2*exp(1)/5", "2*(sin(2) + y*exp(1))/5"],
         "y1": ["2*(sin(2*x) + exp(x))/5", "4*cos(2*x)/5 + 6*exp(x)/5"],
     }
-    boundary = ElasticBoundary([], neumann=["x1", "y1"], fixed={"x0": "n"})
-    problem = ElasticProblem(1.0, 0.25, f=load, g_N=g_N, exact=["y*sin(2*x)", "y*exp(x)"])
-    solution = solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
+    problem = Elasticity(
+        1.0,
+        0.25,
+        f=load,
+        exact=["y*sin(2*x)", "y*exp(x)"],
+        conditions=[Dirichlet("x0", 0, components="n"), *(Neumann(*each) for each in g_N.items())],
+    )
+    solution = solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), problem)
     return solution, certify(solution)
 
 
@@ -89,10 +94,14 @@ def test_pulses_are_told(given: dict[str, Any]):
 
 def test_bodies_that_only_contact_holds():
     """There is no constant of Korn: loads that are no polynomials are by quadrature, others are not."""
-    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
     for load, missing in (("-exp(x)", ("f",)), ("-1 - x^2", ())):
-        problem = ElasticProblem(1.0, 0.3, f=["0", load])
-        certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
+        problem = Elasticity(
+            1.0,
+            0.3,
+            f=["0", load],
+            conditions=[Contact("y0"), Dirichlet("x0", 0, components="n"), Neumann(["x1", "y1"], 0)],
+        )
+        certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), problem))
         assert certificate.by_quadrature == missing
         reason = "f by quadrature, as what is given of u does not hold each body"
         assert certificate.reservation == (reason if missing else "")

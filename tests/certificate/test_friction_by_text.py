@@ -5,9 +5,8 @@ from elastic import box
 from makers.bodies import energy_difference
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Elasticity, Neumann, Tresca
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -26,9 +25,7 @@ COMM = MPI.COMM_WORLD
 )
 def test_near_the_error(g: str, u_D: list[str], sharp: float):
     """It is above the distance to a solution on a mesh 4 times as fine; where the body slips and where it sticks."""
-    given = ElasticProblem(
-        1.0, 0.3, u_D=u_D, laws=[Friction(["y0"], g)], boundary=ElasticBoundary(["y0"], neumann=["x0", "x1"])
-    )
+    given = Elasticity(1.0, 0.3, u_D=u_D, conditions=[Contact("y0", friction=Tresca(g)), Neumann(["x0", "x1"], 0)])
     coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), given) for n in (5, 20))
     certificate, error = certify(coarse), energy_difference(coarse, fine)
     assert certificate.guaranteed

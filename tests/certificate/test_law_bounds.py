@@ -1,7 +1,6 @@
 """The certificate under every law: above the error and near it, for penalties' own solutions too, and its parts."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from made_cases import EXACT, on_grid
 from makers.bounds import difference
 from mpi4py import MPI
 
+from signorini_fenicsx import Diffusion, Neumann
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -97,7 +97,7 @@ LAWS: list[tuple[Law, ...]] = [
 @pytest.mark.parametrize("laws", LAWS)
 def test_data_that_vary(laws: tuple[Law, ...]):
     """Against a mesh with cells of a quarter of the size, where data vary within facets and u_D is not quadratic."""
-    problem = Problem("20*sin(3*x + 4*y)", kappa="2 + sin(3*x)*cos(2*y)", u_D="0.1*sin(8*x*y)*x*y", laws=laws)
+    problem = Diffusion("20*sin(3*x + 4*y)", kappa="2 + sin(3*x)*cos(2*y)", u_D="0.1*sin(8*x*y)*x*y", conditions=laws)
     one, other = (solve(domain, problem) for domain in coarse_and_fine(0.14))
     certificate, distance = certify(one), difference(one, other)
     assert distance < certificate.sigma_bound < 1.2 * distance
@@ -118,9 +118,9 @@ STEEP = [
 @pytest.mark.parametrize("law", STEEP, ids=["river", "sine", "regulator", "vertical", "stiff", "mixed"])
 def test_long_steep_segments(law: Law):
     """The function v is where y·n is on a steep segment, however long this is, and not at one of its ends."""
-    boundary = Boundary([], neumann=["left", "right"])
     one, other = (
-        solve(each, Problem("20*sin(3*x + 4*y)", laws=[law], boundary=boundary)) for each in coarse_and_fine(0.25)
+        solve(each, Diffusion("20*sin(3*x + 4*y)", conditions=[Neumann(["left", "right"], 0), law]))
+        for each in coarse_and_fine(0.25)
     )
     assert difference(one, other) < certify(one).sigma_bound < 1.12 * difference(one, other)
 
@@ -158,8 +158,8 @@ def test_steep_segments_inside(name: str):
 )
 def test_corners_far_from_what_flows(law: Law, backend: str):
     """Fluxes are measured from where nothing flows: from a corner with 1e12 twelve digits would be lost."""
-    domain, boundary = build_domain(COMM, "square", 0.25, mesh="structured"), Boundary([], neumann=["left", "right"])
-    solution = solve(domain, Problem(LOAD, laws=[law], boundary=boundary), Options(backend=backend))
+    domain = build_domain(COMM, "square", 0.25, mesh="structured")
+    solution = solve(domain, Diffusion(LOAD, conditions=[Neumann(["left", "right"], 0), law]), Options(backend=backend))
     assert max(vars(solution.kkt).values()) < 1e-12
 
 
@@ -167,16 +167,16 @@ def test_signorini_by_either_way():
     """As a law, also with a far upper bound, it is certified like the short form but for how v is kept above ψ."""
     domain, f = build_domain(COMM, "square", 0.1, mesh="unstructured"), "20*(x - 0.6)"
     for psi, q_S in [(0.0, 0.0), ("0.1*x - 0.05", "0.2*x"), ("0.05*sin(9*x) - 0.05", "sin(5*x)")]:
-        short = certify(solve(domain, Problem(f, psi=psi, q_S=q_S, boundary=Boundary(["bottom"]))))
+        short = certify(solve(domain, Diffusion(f, conditions=[Signorini("bottom", psi, q_S)])))
         for law in (Signorini(["bottom"], psi, q_S), TwoSided(["bottom"], 100, psi, q_S)):
-            long = certify(solve(domain, Problem(f, laws=[law])))
+            long = certify(solve(domain, Diffusion(f, conditions=[law])))
             assert long.sigma_bound == pytest.approx(short.sigma_bound, rel=0.02)
             assert long.oscillation == pytest.approx(short.oscillation, rel=0.02)
 
 
 def test_three_dimensions():
     laws = [Friction(["bottom"], "0.3 + x*y"), TwoSided(["left"], psi_upper=0.05, psi=-0.05), Wall(["top"], 3, "0.2*x")]
-    one, other = (solve(each, Problem("20*(x - 0.5)", laws=laws)) for each in coarse_and_fine(0.5, "cube", 1))
+    one, other = (solve(each, Diffusion("20*(x - 0.5)", conditions=laws)) for each in coarse_and_fine(0.5, "cube", 1))
     distance = difference(one, other)
     assert distance < certify(one).sigma_bound < 2 * distance
 
@@ -203,7 +203,7 @@ def test_bounds_that_contradict():
         ([TwoSided(["bottom"], 0.1)], 1, "u_D is beyond a bound of u where Γ_D meets Γ_S"),
         ([Signorini(["bottom"], 0.2), TwoSided(["left"], 0.1)], 0, "the bounds of u leave no room where parts of Γ_S"),
     ]:
-        certificate = certify(solve(domain, Problem(1, u_D=u_D, laws=laws)))
+        certificate = certify(solve(domain, Diffusion(1, u_D=u_D, conditions=laws)))
         assert certificate.bound == math.inf
         assert certificate.if_none.startswith(reason)
 
@@ -211,16 +211,16 @@ def test_bounds_that_contradict():
 def test_friction_of_nothing():
     """With g = 0 both slips are one line; v goes by the sign of u, and the bound is that of an open part."""
     domain, f = build_domain(COMM, "square", 0.2, mesh="unstructured"), "20*(x - 0.3)"
-    slipping = solve(domain, Problem(f, laws=[Friction(["bottom"], 0)]))
-    free = solve(domain, Problem(f, psi=-100, boundary=Boundary(["bottom"])))
+    slipping = solve(domain, Diffusion(f, conditions=[Friction(["bottom"], 0)]))
+    free = solve(domain, Diffusion(f, conditions=[Signorini("bottom", -100)]))
     assert certify(slipping).bound == pytest.approx(certify(free).bound, rel=0.02)
 
 
 def test_rounding_is_no_contradiction():
     """Where u = ψ everywhere, what u_D is below ψ by rounding is nothing."""
     domain = build_domain(COMM, "square", 0.25, mesh="structured")
-    problem = Problem(0, u_D="0.1 + 0.3*x + 0.7*y", psi="0.7*y + 0.3*x + 0.1")
-    assert certify(solve(domain, replace(problem, boundary=Boundary(["top"])))).bound < 1e-7
+    problem = Diffusion(0, u_D="0.1 + 0.3*x + 0.7*y", conditions=[Signorini("top", "0.7*y + 0.3*x + 0.1")])
+    assert certify(solve(domain, problem)).bound < 1e-7
 
 
 def test_gap():

@@ -1,7 +1,6 @@
 """Data that quadrature may miss: unresolved data are reported, and the bound includes them."""
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,11 +14,9 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.solution_report import bound
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
@@ -133,8 +130,8 @@ def test_what_is_resolved_is_guaranteed_and_sharp(data: dict[str, object]):
 def test_data_from_python_are_by_quadrature():
     domain = solve_case(problem(0.2), COMM).spaces.domain
     x = ufl.SpatialCoordinate(domain.mesh)
-    given = Problem(f=ufl.sin(x[0]), kappa=1 + x[1] ** 2)
-    certificate = certify(solve(domain, replace(given, boundary=Boundary(["bottom"]))))
+    given = Diffusion(f=ufl.sin(x[0]), kappa=1 + x[1] ** 2, conditions=[Signorini("bottom")])
+    certificate = certify(solve(domain, given))
     assert certificate.by_quadrature == ("f", "kappa")
     assert not certificate.guaranteed
     assert bound(certificate).endswith("not guaranteed: f, kappa by quadrature")

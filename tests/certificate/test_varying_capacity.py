@@ -11,10 +11,9 @@ from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.points import PartPoints
-from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
-from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -69,7 +68,7 @@ def test_second_step():
     content *= np.where(middles[:, 0] < 0.375, 1, 100)
     f = 10 + 20 * function_of(dolfinx.fem.functionspace(fine.mesh, ("DG", 0)), content, "content")
     error = difference(
-        second.solution, solve(fine, Problem(f, c=f"20*({capacity})", psi=-1, boundary=Boundary(["bottom"])))
+        second.solution, solve(fine, Diffusion(f, c=f"20*({capacity})", conditions=[Signorini("bottom", -1)]))
     )
     assert certificate.proved
     assert error < certificate.sigma_bound < 2.5 * error

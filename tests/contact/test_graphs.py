@@ -8,6 +8,7 @@ import pytest
 from made_cases import Spring
 from mpi4py import MPI
 
+from signorini_fenicsx import Diffusion
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.chains import Chains
@@ -17,7 +18,6 @@ from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
@@ -43,7 +43,7 @@ def test_bounds_are_found_by_the_graph():
     domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
     given = "0.1*cos(3*x)"
     solutions = [
-        solve(domain, Problem("20*(x - 0.6)", laws=[law]))
+        solve(domain, Diffusion("20*(x - 0.6)", conditions=[law]))
         for law in (
             TwoSided(["bottom"], psi_upper=2.0, psi=given),
             Held(["bottom"], rest=given),
@@ -73,7 +73,7 @@ def test_graphs_are_checked(law: Law, message: str):
     """A bound must be finite in all points and a datum; a graph must be monotone, also that of a law of one's own."""
     domain = build_domain(COMM, "square", 0.25, mesh="structured")
     with pytest.raises(InputError, match=message):
-        solve(domain, Problem("20*(x - 0.6)", laws=[law]))
+        solve(domain, Diffusion("20*(x - 0.6)", conditions=[law]))
 
 
 def test_beside():
@@ -95,7 +95,7 @@ def test_many_corners(folder: Path):
     corners = [(float(a), float(b)) for a, b in zip(u, -8 * np.sinh(3 * u), strict=True)]
     law = Corners(["bottom"], corners, "vertical", "vertical")
     domain = build_domain(COMM, "square", 0.1, mesh="structured")
-    solution = solve(domain, Problem("20*sin(5*x)*cos(3*y)", laws=[law]))
+    solution = solve(domain, Diffusion("20*sin(5*x)*cos(3*y)", conditions=[law]))
     chains, segment = solution.law, solution.segments().segment
     assert set(chains.count) == {300}
     np.testing.assert_allclose([end[0] for end in chains.extent()], [-0.3, 0.3, -np.inf, np.inf], atol=1e-15)

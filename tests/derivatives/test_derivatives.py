@@ -1,6 +1,7 @@
 """Derivatives through contact: Taylor remainders of all data, corners, backends, ranks; an inverse problem."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import dolfinx.mesh
@@ -34,8 +35,12 @@ from signorini_fenicsx import (
     solve,
     solve_case,
 )
+from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
+from signorini_fenicsx.contact.loop import settled_change
 from signorini_fenicsx.derivatives import NotDifferentiable
+from signorini_fenicsx.derivatives.linearised import TangentProblem
 from signorini_fenicsx.meshes.meshing import build_domain
 
 COMM = MPI.COMM_WORLD
@@ -382,3 +387,22 @@ def test_inverse_problem():
     assert found.nfev < 40
     assert np.all(np.abs(found.x - np.log([2.0, 0.5])) < 3 * deviations)
     assert deviations.max() < 0.1
+
+
+def test_as_many_iterations_as_biactive_sites():
+    """Each of 70 sites comes into contact after the one before it, which is more than what an algorithm may take."""
+    number = 70
+
+    def solved(conditions: SiteConditions) -> tuple[np.ndarray, np.ndarray, None]:
+        held = conditions.kind == Condition.ZERO_TRACE
+        p = np.where(held, 0.0, 1.0)
+        p[np.flatnonzero(~held)[:1]] = -1.0
+        return p, np.where(held, 1.0, 0.0), None
+
+    backend: Any = SimpleNamespace(noun=("site", "sites"), comm=MPI.COMM_SELF, sites=number, dofs=number)
+    backend.solver, backend.places = lambda: "none", lambda: np.arange(number)[:, None]
+    tangent, start = TangentProblem(backend, Chains.at_corner(number), solved), SiteConditions.everywhere
+    found = settled_change(tangent, start(Condition.NO_FLUX, number), number, None)
+    np.testing.assert_array_equal(found.flux, np.ones(number))
+    with pytest.raises(NumericalFailure, match="derivative: "):
+        settled_change(tangent, start(Condition.NO_FLUX, number), 1, None)

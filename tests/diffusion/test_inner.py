@@ -210,6 +210,6 @@ def test_solvers_that_are_refused():
     with pytest.raises(InputError, match="alg3 does not take parts inside the domain; alg1, alg2, vi and qp do"):
         solve_case(case.with_values({"solve.algorithm": "alg3"}), domain=mesh)
     with pytest.raises(InputError, match="'slit' is inside the domain: it belongs to inner, with a law"):
-        Solver(mesh, Problem(0, boundary=Boundary(["top"])))
+        Solver(mesh, Diffusion(0, conditions=[Signorini("top")]))
     with pytest.raises(InputError, match="inner: the mesh is not cut along 'top'"):
         Solver(mesh, Problem(0, boundary=Boundary(["top", "slit"], inner=["top", "slit"])))

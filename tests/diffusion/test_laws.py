@@ -117,12 +117,13 @@ def test_corners_that_coincide():
     f = "20*(x - 0.6)"
     corners = [(-0.05, 0.3), (-0.05, 0.3), (0, 0.1), (0, 0.1), (0, 0.1)]
     twice, once = (
-        solve(domain, Problem(f, laws=[Corners(["bottom"], some, "vertical", 2)])) for some in (corners, corners[1:3])
+        solve(domain, Diffusion(f, conditions=[Corners(["bottom"], some, "vertical", 2)]))
+        for some in (corners, corners[1:3])
     )
     np.testing.assert_allclose(twice.sigma.x.array, once.sigma.x.array, atol=1e-12)
     assert max(vars(twice.kkt).values()) < 1e-11
     for algorithm in ("alg1", "alg2", "qp", "vi"):
-        closed = Problem(f, laws=[TwoSided(["bottom"], psi_upper="0.1*x", psi="0.1*x")], u_D="0.1*x")
+        closed = Diffusion(f, u_D="0.1*x", conditions=[TwoSided(["bottom"], psi_upper="0.1*x", psi="0.1*x")])
         found = solve(domain, closed, Options(algorithm=algorithm))
         assert max(vars(found.kkt).values()) < 1e-8
         assert found.outcome.iterate.p == pytest.approx(0, abs=1e-10)
@@ -148,11 +149,11 @@ def test_laws_in_python():
     """Objects as data; a law of one's own is the graph with the same line; a Signorini law is the short form."""
     domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
     f = "20*(x - 0.6)"
-    spring = solve(domain, Problem(f, laws=[Spring(["bottom"], stiffness=3.0)]))
-    line = solve(domain, Problem(f, laws=[Corners(["bottom"], [(0, 0), (1, -3)], 3, 3)]))
+    spring = solve(domain, Diffusion(f, conditions=[Spring(["bottom"], stiffness=3.0)]))
+    line = solve(domain, Diffusion(f, conditions=[Corners(["bottom"], [(0, 0), (1, -3)], 3, 3)]))
     np.testing.assert_allclose(spring.sigma.x.array, line.sigma.x.array, atol=1e-12)
     assert spring.spaces.normal_flux(spring.sigma) == pytest.approx(-3 * spring.outcome.iterate.p, abs=1e-12)
-    short = solve(domain, Problem(f, psi="0.01*x", q_S=0.1, boundary=Boundary(["bottom", "left"])))
+    short = solve(domain, Diffusion(f, conditions=[Signorini(["bottom", "left"], "0.01*x", 0.1)]))
     for boundary, laws in [
         (Boundary([]), [Signorini(["bottom", "left"], "0.01*x", 0.1)]),
         (Boundary(["bottom"]), [TwoSided(["left"], psi_upper=1e3, psi="0.01*x", q_S=0.1)]),
@@ -177,10 +178,10 @@ def test_results_of_python_are_kept(folder: Path):
     """Laws that are numbers and texts are in the file, others are asked for."""
     domain, f = build_domain(COMM, "square", 0.4, mesh="unstructured"), "20*(x - 0.6)"
     laws = Corners(["bottom"], ((0, 1), (0, -1))), Friction(["left"], "0.1 + y")
-    problem = Problem(f, laws=laws, boundary=Boundary(["top"]))
+    problem = Diffusion(f, conditions=[Signorini("top"), *laws])
     write_solution(solve(domain, problem), folder, fields=False)
-    assert load_solution(folder, COMM).problem == problem
-    other = replace(problem, laws=[Friction(["left"], g=lambda x: 0.1 + x[1])])
+    assert load_solution(folder, COMM).problem == problem.on(domain)
+    other = replace(problem, conditions=[Friction(["left"], g=lambda x: 0.1 + x[1])])
     write_solution(solve(domain, other), folder, fields=False)
     with pytest.raises(InputError, match="laws: given in Python"):
         load_solution(folder, COMM)
@@ -276,7 +277,7 @@ def test_what_methods_refuse(folder: Path):
 
 def test_names_of_segments():
     law = Corners("bottom", [(0, 1), (0, -1)], names=["low", "at 0", "high"])
-    solution = solve(build_domain(COMM, "square", 0.5, mesh="structured"), Problem(f=1, laws=[law]))
+    solution = solve(build_domain(COMM, "square", 0.5, mesh="structured"), Diffusion(f=1, conditions=[law]))
     (segments,) = solution.segments_of_parts().values()
     assert list(segments) == ["low", "at 0", "high"]
     for wrong in (["low", "high"], ["low", "low", "high"], "low"):
@@ -304,8 +305,8 @@ def test_safeguard_ends_cycles():
         corners = [
             (float(u), float(-u + s)) for u, s in zip(np.cumsum(rng.random(3)) - 1, [0.5, 0.5, 0.2], strict=True)
         ]
-        problem = Problem(
-            "20*sin(9*x)", laws=[Corners(["bottom", "right"], corners, 2, "vertical"), Friction(["left"], 0.2)]
+        problem = Diffusion(
+            "20*sin(9*x)", conditions=[Corners(["bottom", "right"], corners, 2, "vertical"), Friction(["left"], 0.2)]
         )
         results = [
             solve(domain, problem, Options(algorithm=name, backend=backend)).norms()

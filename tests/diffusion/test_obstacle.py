@@ -13,17 +13,26 @@ from dolfinx.fem.petsc import LinearProblem
 from dolfinx.mesh import compute_midpoints
 from mpi4py import MPI
 
-from signorini_fenicsx import Friction, InputError, Options, Solution, certify, load_solution, solve
+from signorini_fenicsx import (
+    Diffusion,
+    Friction,
+    InputError,
+    Neumann,
+    Options,
+    Signorini,
+    Solution,
+    certify,
+    load_solution,
+    solve,
+)
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.proof import proof_of
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
-from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
 
 COMM = MPI.COMM_WORLD
@@ -36,9 +45,9 @@ def sphere(n: int, **values: object) -> Solution:
     return solve_case(load_case("sphere").with_values({"solve.h": 2.0**-n} | values), COMM)
 
 
-def on_square(problem: Problem, boundary: Boundary | None = None, *, h: float = 0.1, **options: object) -> Solution:
+def on_square(problem: Diffusion, *, h: float = 0.1, **options: object) -> Solution:
     domain = build_domain(COMM, "square", h, mesh="unstructured")
-    return solve(domain, replace(problem, boundary=boundary or Boundary()), Options(**options))  # type: ignore[arg-type]
+    return solve(domain, problem, Options(**options))  # type: ignore[arg-type]
 
 
 def test_sphere():
@@ -83,19 +92,19 @@ def test_few_set_updates_on_a_fine_mesh():
 
 
 # u = ψ + (x − 0.4)₊² with ψ = y²/2 − x, force 2(1 + x) + 5(0.4 − x) in contact, c = 2 and κ = 1 + x
-SMOOTH = Problem(
+SMOOTH = Diffusion(
     f="-3*(1 + x) - (2*max(x - 0.4, 0) - 1) + 2*(y^2/2 - x + max(x - 0.4, 0)^2) - 5*max(0.4 - x, 0)",
     kappa="1 + x",
     u_D="y^2/2 - x + max(x - 0.4, 0)^2",
-    g_N=0,
     c=2,
     obstacle="y^2/2 - x",
     exact="y^2/2 - x + max(x - 0.4, 0)^2",
+    conditions=[Neumann("bottom", 0)],
 )
 
 
 def test_exact_solution_with_reaction_and_neumann():
-    coarse, fine = (on_square(SMOOTH, Boundary([], ["bottom"]), h=h) for h in (1 / 8, 1 / 16))
+    coarse, fine = (on_square(SMOOTH, h=h) for h in (1 / 8, 1 / 16))
     errors = [solution.errors()["sigma_L2"] for solution in (coarse, fine)]
     assert np.log(errors[0] / errors[1]) / np.log(coarse.spaces.domain.h / fine.spaces.domain.h) > 0.95
     for solution in (coarse, fine):
@@ -120,7 +129,7 @@ def test_load_that_jumps_in_contact(element: str, most: float):
     wave = "sin(2*x)*exp(y)"
     jump = " - (2 if x > 0.4 else 1) - (20 if (x - 0.15)^2 + (y - 0.5)^2 < 0.01 else 0)"
     u = f"{wave} + max(x - 0.4, 0)^2"
-    problem = Problem(f=f"3*{wave} {jump}", u_D=u, obstacle=wave, exact=u)
+    problem = Diffusion(f=f"3*{wave} {jump}", u_D=u, obstacle=wave, exact=u)
     solution = on_square(problem, h=1 / 16, element=element)
     certificate = certify(solution)
     assert certificate.guaranteed
@@ -132,28 +141,26 @@ def test_load_that_jumps_in_contact(element: str, most: float):
 def test_a_needle_of_the_obstacle_is_not_overlooked(element: str):
     """Between all points of quadratures, where the obstacle touches and, lower, where it does not."""
     needle = "exp(-1e6*((x - 0.4321)^2 + (y - 0.5678)^2))"
-    problems = [Problem(f=f, obstacle=f"-0.1 + 0.05*{needle}") for f in (-10, -0.2)]
+    problems = [Diffusion(f=f, obstacle=f"-0.1 + 0.05*{needle}") for f in (-10, -0.2)]
     found = [certify(on_square(problem, h=0.15, element=element)) for problem in problems]
     assert [certificate.guaranteed for certificate in found] == [False, True]
     assert found[0].unresolved[0][0] == "obstacle"
 
 
-GENERAL = Problem(
+GENERAL = Diffusion(
     f="-20*x",
     kappa=[["2 + x", "y/2"], ["y/2", "1"]],
     obstacle="-0.1 - 0.2*x*y",
-    psi="0.05*x - 0.02",
     c="3*y",
-    laws=[Friction(["top"], g="0.1")],
+    conditions=[Signorini(["bottom", "right"], "0.05*x - 0.02"), Neumann("left", 0), Friction("top", g="0.1")],
 )
 
 
 @pytest.mark.parallel([1, 2])
 def test_backends_and_algorithms_agree():
     """With laws on Γ_S and cu; the iterative backend too."""
-    boundary = Boundary(["bottom", "right"], ["left"])
     first, *others = (
-        on_square(GENERAL, boundary, **options)
+        on_square(GENERAL, **options)
         for options in ({}, {"backend": "mixed"}, {"algorithm": "alg2"}, {"tuning": ITERATIVE})
     )
     assert np.isfinite(certify(first).bound)
@@ -165,8 +172,8 @@ def test_backends_and_algorithms_agree():
 
 def test_quadratic_programme():
     """An interior-point method that knows no conditions finds the same solution."""
-    problem, boundary = replace(GENERAL, laws=()), Boundary(["bottom", "right"], ["left"])
-    by_sets, other = (on_square(problem, boundary, algorithm=name) for name in ("alg1", "qp"))
+    problem = replace(GENERAL, conditions=GENERAL.conditions[:2])
+    by_sets, other = (on_square(problem, algorithm=name) for name in ("alg1", "qp"))
     for name in ("u", "sigma"):
         expected = getattr(by_sets, name).x.array
         np.testing.assert_allclose(getattr(other, name).x.array, expected, rtol=0, atol=1e-8)
@@ -176,22 +183,22 @@ def test_quadratic_programme():
 @pytest.mark.parallel([1, 2])
 def test_no_dirichlet():
     """The obstacle alone holds u: its force is the whole load."""
-    everywhere = Boundary([], ["left", "right", "bottom", "top"])
+    impervious = [Neumann(["left", "right", "bottom", "top"], 0)]
     for options in ({}, {"backend": "mixed"}, {"tuning": ITERATIVE}):
-        solution = on_square(Problem(f="3*x - 3", obstacle="x*y - 1"), everywhere, **options)
+        solution = on_square(Diffusion(f="3*x - 3", obstacle="x*y - 1", conditions=impervious), **options)
         assert solution.on_obstacle()["force"] == pytest.approx(1.5, rel=1e-9)
         assert certify(solution).relative < 0.2
     with pytest.raises(InputError, match="there is no solution"):
-        on_square(Problem(f="3*x", obstacle="x*y - 1"), everywhere)
+        on_square(Diffusion(f="3*x", obstacle="x*y - 1", conditions=impervious))
 
 
 def test_refusals():
     with pytest.raises(InputError, match=r"obstacle: is above u_D on Γ_D, as at \(1, .* by 0.5"):
-        on_square(Problem(f=1, obstacle="x - 0.5"))
+        on_square(Diffusion(f=1, obstacle="x - 0.5"))
     with pytest.raises(InputError, match="alg3 does not take an obstacle; alg1, alg2 and qp do"):
-        on_square(Problem(f=1, obstacle=-1), algorithm="alg3")
+        on_square(Diffusion(f=1, obstacle=-1), algorithm="alg3")
     with pytest.raises(InputError, match="not finite everywhere in the domain"):
-        on_square(Problem(f=1, obstacle="log(x - 0.5)"))
+        on_square(Diffusion(f=1, obstacle="log(x - 0.5)"))
 
 
 def test_precise_backend_of_thin_cells():
@@ -202,7 +209,7 @@ def test_precise_backend_of_thin_cells():
 
 
 def test_no_proof():
-    solution = on_square(Problem(f=-10, obstacle=-0.1), h=0.4)
+    solution = on_square(Diffusion(f=-10, obstacle=-0.1), h=0.4)
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is None
     assert "without an obstacle" in proof.reason

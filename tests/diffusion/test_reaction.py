@@ -10,6 +10,7 @@ import ufl
 from made_cases import make_case
 from mpi4py import MPI
 
+from signorini_fenicsx import Diffusion, Signorini
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
@@ -18,10 +19,8 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.expressions.reader import parse_expression
-from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -99,7 +98,7 @@ def test_bounds_for_other_coefficients(c: str | Callable[[Array], Array], sharp:
     of_c = 10 + x[0] if callable(c) else parse_expression(c, x)
     f = -6 * (ufl.max_value(x[0] - 0.413, 0) - x[1] * ufl.max_value(0.413 - x[0], 0)) + of_c * u
     text = None if callable(c) else f"-6*(max(x - 0.413, 0) - y*max(0.413 - x, 0)) + ({c})*({U})"
-    solution = solve(domain, Problem(f=text or f, c=c, u_D=U, exact=U, boundary=Boundary(["bottom"])))
+    solution = solve(domain, Diffusion(f=text or f, c=c, u_D=U, exact=U, conditions=[Signorini("bottom")]))
     certificate = certify(solution)
     assert 1 < certificate.sigma_bound / solution.errors()["sigma_L2"] < sharp
     assert certificate.guaranteed == resolved

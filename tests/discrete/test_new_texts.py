@@ -19,6 +19,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
 from signorini_fenicsx.discrete import points
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, facet_quadrature
 from signorini_fenicsx.expressions.reader import read
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
@@ -104,6 +105,23 @@ def test_means_do_not_depend_on_what_data_are_given_as(folder: Path):
     assert quadrature_degree(text.f) == 8
     assert quadrature_degree(datum_of(spaces, "f", read("x^11", "xy"))) == 11
     assert quadrature_degree(datum_of(spaces, "f", read("x^11", "xy")), power=2) == 22
+
+
+def of_f(spaces: Spaces, f: ufl.core.expr.Expr) -> ufl.Form:
+    """∫ fv."""
+    return f * ufl.TestFunction(spaces.Q) * ufl.dx
+
+
+def test_vectors_of_one_form_are_apart(folder: Path):
+    """What a form that is kept gave is not overwritten when it is assembled again."""
+    spaces = solve_case(make_case(folder, parts=["bottom"], f="0", h=0.4)).spaces
+    one, other = (fem.Function(spaces.Q) for _ in range(2))
+    one.x.array[:], other.x.array[:] = 1.0, 2.0
+    first = assembled(spaces.kept(of_f, one))
+    before = first.copy()
+    second = assembled(spaces.kept(of_f, other))
+    np.testing.assert_array_equal(first, before)
+    np.testing.assert_allclose(second, 2 * before)
 
 
 def test_the_normal_in_ufl(folder: Path):

@@ -10,6 +10,7 @@ from dolfinx import fem
 from elastic import box, complementary_energy, half_plane_contact, smooth
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.chains import Condition, Penalty
@@ -90,10 +91,9 @@ def test_patch(dim: int):
     """Linear displacements are found exactly, with parts that are fixed in some components, by axis and by normal."""
     stress, u, g_N = linear_problem(dim, 0.3)
     domain = box(COMM, 2, *UNIT[dim])
-    boundary = ElasticBoundary(["y0"], neumann=["y1"], fixed={"x0": "n"})
-    if dim == 3:  # there is shear on x = 0
-        boundary = ElasticBoundary(["y0"], neumann=["y1"], fixed={"x0": "xyz"})
-    solution = solve(domain, ElasticProblem(200.0, 0.3, u_D=u, g_N=g_N, exact=u, boundary=boundary))
+    held = Dirichlet("x0", u, components="n" if dim == 2 else "xyz")  # in space there is shear on x = 0
+    conditions = [Contact("y0"), held, Neumann("y1", g_N)]
+    solution = solve(domain, Elasticity(200.0, 0.3, u_D=u, exact=u, conditions=conditions))
     np.testing.assert_allclose(solution.stresses, np.broadcast_to(stress, solution.stresses.shape), atol=1e-11)
     errors = solution.errors()
     assert errors is not None
@@ -108,8 +108,7 @@ def test_smooth_solution_has_full_order(dim: int, nu: float):
     for n in (8, 16) if dim == 2 else (2, 4):
         domain = box(COMM, n, *UNIT[dim])
         young, u, f = smooth(domain, nu)
-        ends = ElasticBoundary([f"{'xyz'[dim - 1]}0"])
-        solution = solve(domain, ElasticProblem(young, nu, f=f, u_D=u, exact=u, boundary=ends))
+        solution = solve(domain, Elasticity(young, nu, f=f, u_D=u, exact=u, conditions=[Contact(f"{'xyz'[dim - 1]}0")]))
         assert solution.touching.all()
         found.append(solution.errors())
     orders = {name: np.log2(found[0][name] / found[1][name]) for name in ("energy", "u_L2")}
@@ -123,7 +122,7 @@ def test_contact_with_a_singular_solution(nu: float):
     errors, u = [], half_plane_contact(nu)
     for n in (8, 16):
         domain = box(COMM, n, [-1.0, 0.0], [1.0, 1.0])
-        solution = solve(domain, ElasticProblem(1.0, nu, u_D=u, exact=u, boundary=ElasticBoundary(["y0"])))
+        solution = solve(domain, Elasticity(1.0, nu, u_D=u, exact=u, conditions=[Contact("y0")]))
         assert len(solution.outcome.history) <= 7
         assert solution.pressure.min(initial=0.0) > -1e-10
         errors.append(solution.errors())
@@ -135,8 +134,13 @@ def test_contact_with_a_singular_solution(nu: float):
 def pressed(comm: MPI.Comm, n: int = 2, nu: float = 0.4) -> ElasticSolution:
     """A block that a load presses onto a foundation with a curved gap and lifts off elsewhere."""
     domain = box(comm, n, [-1.0, 0.0], [1.0, 1.0])
-    problem = ElasticProblem("1 + x^2", nu, f=["0", "-0.1*(1 + x + y)"], g_N=["0.02", "-0.1"], gap="0.1*(x - 0.2)^2")
-    return solve(domain, replace(problem, boundary=ElasticBoundary(["y0"], neumann=["y1", "x1"])))
+    problem = Elasticity(
+        "1 + x^2",
+        nu,
+        f=["0", "-0.1*(1 + x + y)"],
+        conditions=[Contact("y0", "0.1*(x - 0.2)^2"), Neumann(["y1", "x1"], ["0.02", "-0.1"])],
+    )
+    return solve(domain, problem)
 
 
 def test_quadratic_programme_finds_the_same():
@@ -173,11 +177,19 @@ def pressed_more(p: np.ndarray, flux: np.ndarray, rho: float) -> np.ndarray:
 def test_plane_stress_and_strain():
     """A block that a uniform pressure flattens becomes wider by ν in plane stress, by ν/(1 − ν) in plane strain."""
     domain = box(COMM, 2, [0.0, 0.0], [2.0, 1.0])
-    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
     for plane, flatter, wider in (("stress", 1.0, 0.3), ("strain", 1 - 0.3**2, 0.3 * 1.3)):
         g_N = ["0", "-0.1 if y > 1 - 1e-9 else 0"]
         exact = [f"{0.1 * wider}*x", f"{-0.1 * flatter}*y"]
-        solution = solve(domain, ElasticProblem(1.0, 0.3, g_N=g_N, plane=plane, exact=exact, boundary=boundary))
+        solution = solve(
+            domain,
+            Elasticity(
+                1.0,
+                0.3,
+                plane=plane,
+                exact=exact,
+                conditions=[Contact("y0"), Dirichlet("x0", 0, components="x"), Neumann(["x1", "y1"], g_N)],
+            ),
+        )
         errors = solution.errors()
         assert errors is not None
         assert errors["u_L2"] < 1e-13
@@ -190,7 +202,9 @@ def test_a_body_at_rest(given: dict[str, object]):
     domain, boundary = box(COMM, 2, *UNIT[2]), ElasticBoundary(["y0"], neumann=["x1", "y1"])
     assert solve(domain, ElasticProblem(2.0, 0.3, **given, boundary=boundary)).norms()["sigma_L2"] < 1e-13
     far, near = (
-        solve(domain, ElasticProblem(2.0, 0.3, u_D=["0", top], gap=gap, boundary=boundary)).norms()["contact_force"]
+        solve(
+            domain, Elasticity(2.0, 0.3, u_D=["0", top], conditions=[Contact("y0", gap), Neumann(["x1", "y1"], 0)])
+        ).norms()["contact_force"]
         for top, gap in (("1 - 1e-9*y", -1), ("-1e-9*y", 0))
     )
     assert far == pytest.approx(near, rel=1e-5)
@@ -235,13 +249,13 @@ def test_bad_input():
     ):
         for options in given:
             with pytest.raises(InputError, match=told):
-                solve(box(COMM, 2, *UNIT[2]), ElasticProblem(1.0, 0.3, boundary=held), options)
+                solve(box(COMM, 2, *UNIT[2]), Elasticity(1.0, 0.3, conditions=[Contact("y0")]), options)
     with pytest.raises(InputError, match="fixed: part 'x0' has 'xx'"):
         ElasticBoundary(["y0"], fixed={"x0": "xx"})
     with pytest.raises(InputError, match="unknown 'thin'"):
         ElasticProblem(1.0, 0.3, plane="thin")
     with pytest.raises(InputError, match="plane: a body in space is not in plane stress; leave it out"):
-        solve(box(COMM, 1, *UNIT[3]), ElasticProblem(1.0, 0.3, plane="stress", boundary=held))
+        solve(box(COMM, 1, *UNIT[3]), Elasticity(1.0, 0.3, plane="stress", conditions=[Contact("y0")]))
     with pytest.raises(InputError, match="laws: must be a list of laws, such as"):
         ElasticProblem(1.0, 0.3, laws=["wall"])  # type: ignore[list-item]
     with pytest.raises(InputError, match="laws: those of an elastic body hold on parts, not in regions"):
@@ -254,26 +268,29 @@ def test_what_is_given_must_not_pass_the_foundation():
         told = complaint(ElasticBoundary(["y0"], neumann=["x1"]), **given)
         assert "u_D passes the foundation where parts meet" in told
         assert "at (0, 0): no displacement satisfies both" in told
-    pressed = ElasticProblem(1.0, 0.3, gap=-0.1)
-    solution = solve(box(COMM, 2, *UNIT[2]), replace(pressed, boundary=ElasticBoundary(["y0"], neumann=["x0", "x1"])))
+    pressed = Elasticity(1.0, 0.3, conditions=[Contact("y0", -0.1), Neumann(["x0", "x1"], 0)])
+    solution = solve(box(COMM, 2, *UNIT[2]), pressed)
     assert solution.summary()["least_gap"] == pytest.approx(-0.1)
 
 
 def test_nearly_incompressible():
     """The stress of a compression is right for each ν below ½; at 0.4999999 the run failed."""
     for nu in (0.4999, 0.4999999, 0.499999999):
-        problem = ElasticProblem(1.0, nu, u_D=["0", "-0.05"])
-        boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
-        solution = solve(box(COMM, 4, *UNIT[2]), replace(problem, boundary=boundary))
+        problem = Elasticity(1.0, nu, u_D=["0", "-0.05"], conditions=[Contact("y0"), Neumann(["x0", "x1"], 0)])
+        solution = solve(box(COMM, 4, *UNIT[2]), problem)
         assert solution.norms()["contact_force"] == pytest.approx(0.0752, abs=0.003)
         assert certify(solution).relative < 0.2
 
 
 def test_displacements_that_differ_where_parts_meet_have_no_bound():
     """No displacement of finite energy has both, so there is no exact solution; its bound was called guaranteed."""
-    boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
     for shift, told in (("0", ""), ("0.01", "at (0, 1) parts meet on which different displacements are given")):
-        problem = ElasticProblem(1.0, 0.3, u_D={"x0": ["0", "0"], "": [f"0.1*x + {shift}", "-0.1"]}, gap=0.02)
-        certificate = certify(solve(box(COMM, 2, *UNIT[2]), replace(problem, boundary=boundary)))
+        problem = Elasticity(
+            1.0,
+            0.3,
+            u_D=[f"0.1*x + {shift}", "-0.1"],
+            conditions=[Contact("y0", 0.02), Dirichlet("x0", ["0", "0"], components="n"), Neumann("x1", 0)],
+        )
+        certificate = certify(solve(box(COMM, 2, *UNIT[2]), problem))
         assert certificate.guaranteed == (not told)
         assert told in str(certificate)

@@ -1,7 +1,6 @@
 """Elastic bodies that touch: patch tests, a second program, symmetry, a crack, a stack, wrong files."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,6 @@ from signorini_fenicsx import (
 )
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -81,9 +79,17 @@ def test_two_cylinders_are_one_on_a_plane():
     """By symmetry each of two equal bodies is as one that half of the displacement presses onto a rigid plane."""
     both = solve_case(load_case("two_cylinders"))
     upper = build_domain(MPI.COMM_SELF, "square", np.sqrt(2) / 16 * (1 + 1e-9), mesh="structured", diagonal="left")
-    boundary = ElasticBoundary(["bottom"], ["right"], {"left": "x", "top": "y"})
-    problem = ElasticProblem(1.0, 0.3, u_D={"top": [0.0, -0.025]}, gap="x^2/2")
-    one = solve(upper, replace(problem, boundary=boundary))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[
+            Contact("bottom", "x^2/2"),
+            Dirichlet("left", 0, components="x"),
+            Dirichlet("top", [0.0, -0.025], components="y"),
+            Neumann("right", 0),
+        ],
+    )
+    one = solve(upper, problem)
     norms = one.norms()
     assert both.norms()["contact_force"] == pytest.approx(norms["contact_force"], rel=2e-3)
     assert both.norms()["energy"] ** 2 == pytest.approx(2 * norms["energy"] ** 2, rel=2e-3)

@@ -1,14 +1,12 @@
 """Elastic contact against exact solutions of the half-plane: Hertz' cylinder, and a rigid flat punch."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from elastic import box
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Elasticity
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -47,8 +45,8 @@ def solved(comm: MPI.Comm, n: int, nu: float, plane: str, a: float, *, flat: boo
     domain = box(comm, n, [-1.0, 0.0], [1.0, 1.0])
     u, curvature = pressed(nu, plane, a, flat=flat)
     gap = f"0 if abs(x) < {a} else 2" if flat else f"{curvature / 2}*x^2"
-    problem = ElasticProblem(1.0, nu, u_D=u, exact=u, gap=gap, plane=plane)
-    return solve(domain, replace(problem, boundary=ElasticBoundary(["y0"])))
+    problem = Elasticity(1.0, nu, u_D=u, exact=u, plane=plane, conditions=[Contact("y0", gap)])
+    return solve(domain, problem)
 
 
 @pytest.mark.parametrize(("nu", "plane"), [pytest.param(0.3, "strain", marks=pytest.mark.slow), (0.49, "stress")])

@@ -13,6 +13,7 @@ from elastic import box, complementary_energy, stress
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx import Tresca
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify import certify
@@ -54,7 +55,7 @@ def test_exact_slip_and_stick():
         right, left = ufl.max_value(x - 0.8, 0), ufl.max_value(0.2 - x, 0)
         u = ufl.as_vector([right**3 - left**3 + g * y * step * 2 * (1 + nu), -y])
         f = -ufl.div(stress(strain(u), 1 / (1 + nu), nu))
-        problem = ElasticProblem(1.0, nu, f=f, u_D=u, exact=u, laws=[Friction(["y0"], g=g)])
+        problem = Elasticity(1.0, nu, f=f, u_D=u, exact=u, conditions=[Contact("y0", friction=Tresca(g=g))])
         solution = solve(domain, problem)
         assert solution.contact[1] == pytest.approx(1.0)
         states = solution.friction_states()
@@ -91,8 +92,17 @@ def test_coulomb_in_a_uniform_state(slips: bool):
     flatter = -(1 - nu**2) * pressure - nu * (1 + nu) * sides
     u = [f"{0.1 if slips else 0.0} + {wider}*x + {2 * (1 + nu) * shear}*y", f"{flatter}*y"]
     g_N = {"x0": [str(-sides), str(-shear)], "x1": [str(sides), str(shear)]}
-    problem = ElasticProblem(1.0, nu, u_D=u, g_N=g_N, exact=u, laws=[CoulombLaw(["y0"], mu / 2, mu / 2 * pressure)])
-    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=BOTTOM))
+    problem = Elasticity(
+        1.0,
+        nu,
+        u_D=u,
+        exact=u,
+        conditions=[
+            Contact("y0", friction=Coulomb(mu / 2, mu / 2 * pressure)),
+            *(Neumann(*each) for each in g_N.items()),
+        ],
+    )
+    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), problem)
     errors = solution.errors()
     assert errors is not None
     assert max(errors["energy"], errors["u_L2"]) < 1e-10
@@ -116,9 +126,10 @@ def test_coulomb_is_a_fixed_point():
 @pytest.mark.parametrize(("mu", "push", "nu"), [(1.0, 0.3, 0.0), (2.0, 0.3, 0.3), (5.0, 0.6, 0.0), (20.0, 0.6, 0.45)])
 def test_coulomb_with_a_large_number(mu: float, push: float, nu: float):
     """With any μ there is a solution with the whole law: g = μ × pressure, and the shear is −g where it slips."""
-    problem = ElasticProblem(1.0, nu, u_D=[push, -0.05], laws=[CoulombLaw(["y0"], mu)])
-    boundary = ElasticBoundary([], neumann=["x0", "x1"])
-    solution = solve(box(COMM, 8, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=boundary))
+    problem = Elasticity(
+        1.0, nu, u_D=[push, -0.05], conditions=[Contact("y0", friction=Coulomb(mu)), Neumann(["x0", "x1"], 0)]
+    )
+    solution = solve(box(COMM, 8, [0.0, 0.0], [2.0, 1.0]), problem)
     pressure, shear, slip = solution.pressure, solution.shear, solution.slip
     largest = COMM.allreduce(float(pressure.max(initial=0.0)), MPI.MAX)
     np.testing.assert_allclose(solution.data.friction.bound, mu * np.maximum(pressure, 0), atol=1e-8 * mu * largest)
@@ -130,8 +141,13 @@ def test_coulomb_with_a_large_number(mu: float, push: float, nu: float):
 
 def test_the_path_and_newton_find_the_same(monkeypatch: pytest.MonkeyPatch):
     """For small μ, where there is one solution, the path leads to that of Newton's method."""
-    problem = ElasticProblem(1.0, 0.3, u_D=[0.3, -0.05], laws=[CoulombLaw(["y0"], "0.2 + 0.1*x", "0.002*x")])
-    place = box(COMM, 4, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=ElasticBoundary(neumann=["x0", "x1"]))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        u_D=[0.3, -0.05],
+        conditions=[Contact("y0", friction=Coulomb("0.2 + 0.1*x", "0.002*x")), Neumann(["x0", "x1"], 0)],
+    )
+    place = box(COMM, 4, [0.0, 0.0], [2.0, 1.0]), problem
     newton = solve(*place)
     monkeypatch.setattr(coulomb, "MOST", 2)
     path = solve(*place)
@@ -242,10 +258,12 @@ def test_a_body_that_friction_alone_holds():
 def test_nothing_rubs_where_nothing_touches(gap: float):
     """Above a foundation that it does not reach a body with Coulomb's friction is free, and so is it in its bound."""
     domain = build_domain(COMM, "square", 0.5, mesh="structured")
-    boundary = ElasticBoundary(["bottom"], ["top"], {"left": "x"})
-    problem = ElasticProblem(2.0, 0.3, f=["0", "-x"], g_N={"top": ["0", "-x"]}, gap=gap)
+    given = [Dirichlet("left", 0, components="x"), Neumann("top", ["0", "-x"])]
     rough, smooth = (
-        solve(domain, replace(problem, laws=laws, boundary=boundary)) for laws in ((CoulombLaw(["bottom"], 0.3),), ())
+        solve(
+            domain, Elasticity(2.0, 0.3, f=["0", "-x"], conditions=[Contact("bottom", gap, friction=friction), *given])
+        )
+        for friction in (Coulomb(0.3), None)
     )
     assert rough.norms() == pytest.approx(smooth.norms(), rel=1e-9, abs=1e-9)
     assert np.all(rough.data.friction.bound == 0)

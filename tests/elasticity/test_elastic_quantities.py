@@ -1,6 +1,5 @@
 """What engineers read off: exact in a uniform state, the width of Hertz's contact, the same on all ranks."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, Wall
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -17,8 +15,20 @@ from signorini_fenicsx.solving.solver import solve
 def block(comm: MPI.Comm) -> ElasticSolution:
     """A block 2 x 3 x 1 under a uniform pressure of 0.1 that may grow wider."""
     domain = box(comm, 1, [0.0, 0.0, 0.0], [2.0, 3.0, 1.0])
-    boundary = ElasticBoundary(["z0"], ["z1", "x1", "y1"], {"x0": "x", "y0": "y"})
-    return solve(domain, ElasticProblem(1.0, 0.3, g_N={"z1": ["0", "0", "-0.1"]}, boundary=boundary))
+    return solve(
+        domain,
+        Elasticity(
+            1.0,
+            0.3,
+            conditions=[
+                Contact("z0"),
+                Dirichlet("x0", 0, components="x"),
+                Dirichlet("y0", 0, components="y"),
+                Neumann("z1", ["0", "0", "-0.1"]),
+                Neumann(["x1", "y1"], 0),
+            ],
+        ),
+    )
 
 
 @pytest.mark.parallel([1, 3])
@@ -48,9 +58,17 @@ def test_part_without_pressure(unit: float):
 
 def cylinder(comm: MPI.Comm, n: int) -> ElasticSolution:
     """Half a cylinder of radius 1 on a plane, pressed by 0.0172615: half the width of contact is 0.2034."""
-    boundary = ElasticBoundary(["y0"], ["y1", "x1"], {"x0": "x"})
-    problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.0172615"]}, gap="x^2/2")
-    return solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[
+            Contact("y0", "x^2/2"),
+            Dirichlet("x0", 0, components="x"),
+            Neumann("y1", ["0", "-0.0172615"]),
+            Neumann("x1", 0),
+        ],
+    )
+    return solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), problem)
 
 
 def test_width_is_between_vertices():
@@ -61,9 +79,13 @@ def test_width_is_between_vertices():
 
 def test_width_of_a_punch_and_of_all():
     """A part that is pressed everywhere is as wide as it is long; of two runs both count."""
-    boundary = ElasticBoundary(["y0"], ["x0", "x1"])
-    problem = ElasticProblem(1.0, 0.0, u_D=["0", "-0.1"], gap="0 if x < 0.5 else 0 if x > 1.5 else 1")
-    found = solve(box(MPI.COMM_SELF, 8, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=boundary)).quantities()
+    problem = Elasticity(
+        1.0,
+        0.0,
+        u_D=["0", "-0.1"],
+        conditions=[Contact("y0", "0 if x < 0.5 else 0 if x > 1.5 else 1"), Neumann(["x0", "x1"], 0)],
+    )
+    found = solve(box(MPI.COMM_SELF, 8, [0.0, 0.0], [2.0, 1.0]), problem).quantities()
     assert found["contact"]["y0"]["width"] == pytest.approx(1.0)
 
 

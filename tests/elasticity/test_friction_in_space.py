@@ -11,6 +11,7 @@ from elastic import box, stress, two_boxes
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx import Tresca
 from signorini_fenicsx.api import load_solution
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify import certify
@@ -194,7 +195,7 @@ def test_bound_where_slip_turns():
         d = ufl.as_vector([-(y + 0.5), x + 0.5, 0])
         u = 0.1 * d + 0.06 * z * d / ufl.sqrt(ufl.dot(d, d)) - 0.1 * z * ufl.as_vector([0, 0, 1])
         f = -ufl.div(stress(strain(u), 1.0, 0.0))
-        problem = ElasticProblem(1.0, 0.0, f=f, u_D=u, exact=u, laws=[Friction(["z0"], g=0.03)])
+        problem = Elasticity(1.0, 0.0, f=f, u_D=u, exact=u, conditions=[Contact("z0", friction=Tresca(g=0.03))])
         solution = solve(domain, problem)
         errors.append(solution.errors()["energy"])
         bounds.append(certify(solution).sigma_bound)
@@ -208,9 +209,17 @@ def test_bound_where_slip_turns():
 def test_two_bodies():
     """A body that is pushed over another one: the law holds between both, and forces balance."""
     u = ["0.08", "0.06", "-0.05"]
-    problem = ElasticProblem(1.0, 0.3, u_D={"top": u, "bottom": ["0"] * 3}, laws=[CoulombLaw(["fault"], 0.3)])
-    boundary = ElasticBoundary([], ["left", "right", "front", "back"], inner=["fault"])
-    solution = solve(two_boxes(COMM, 2, 3), replace(problem, boundary=boundary))
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[
+            Contact("fault", friction=Coulomb(0.3)),
+            Dirichlet("top", u),
+            Dirichlet("bottom", ["0"] * 3),
+            Neumann(["left", "right", "front", "back"], 0),
+        ],
+    )
+    solution = solve(two_boxes(COMM, 2, 3), problem)
     check_law(solution)
     assert COMM.allreduce(solution.slip.max(initial=0.0), MPI.MAX) > 1e-3
     assert solution.quantities()["balance"] < 1e-12
@@ -221,11 +230,11 @@ def test_pushed_away():
     """A block that friction alone holds rests under a small push; under a large one it slides, and that is told."""
 
     def pushed(push: float) -> ElasticSolution:
-        load = {"z1": [str(0.8 * push), str(0.6 * push), "-0.1"]}
-        problem = ElasticProblem(1.0, 0.3, g_N=load, laws=[CoulombLaw(["z0"], 0.5)])
-        return solve(
-            box(COMM, 1, [0.0] * 3, [1.0, 1.0, 0.25]), replace(problem, boundary=ElasticBoundary([], ["z1", *SIDES]))
+        load = [str(0.8 * push), str(0.6 * push), "-0.1"]
+        problem = Elasticity(
+            1.0, 0.3, conditions=[Contact("z0", friction=Coulomb(0.5)), Neumann("z1", load), Neumann(SIDES, 0)]
         )
+        return solve(box(COMM, 1, [0.0] * 3, [1.0, 1.0, 0.25]), problem)
 
     solution = pushed(0.03)
     force = solution.resultants()["z0"][:3]

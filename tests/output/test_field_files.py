@@ -16,11 +16,10 @@ from vtkmodules.vtkFiltersGeneral import vtkWarpVector
 from vtkmodules.vtkFiltersSources import vtkArrowSource
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
-from signorini_fenicsx import Diffusion, Neumann, Signorini, domain_of, solve
+from signorini_fenicsx import Contact, Diffusion, Dirichlet, Elasticity, Neumann, Signorini, domain_of, solve
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.fields import Field
 
 COMM = MPI.COMM_WORLD
@@ -61,8 +60,20 @@ def names(folder: Path) -> dict[str, dict[str, list[str]]]:
 def test_a_uniform_state_of_a_body(folder: Path):
     """Under a uniform pressure all stresses, the contact and the points of the warped body are exact."""
     domain = box(COMM, 1, [0.0, 0.0, 0.0], [2.0, 3.0, 1.0])
-    boundary = ElasticBoundary(["z0"], ["z1", "x1", "y1"], {"x0": "x", "y0": "y"})
-    solution = solve(domain, ElasticProblem(1.0, 0.3, g_N={"z1": ["0", "0", "-0.1"]}, boundary=boundary))
+    solution = solve(
+        domain,
+        Elasticity(
+            1.0,
+            0.3,
+            conditions=[
+                Contact("z0"),
+                Dirichlet("x0", 0, components="x"),
+                Dirichlet("y0", 0, components="y"),
+                Neumann("z1", ["0", "0", "-0.1"]),
+                Neumann(["x1", "y1"], 0),
+            ],
+        ),
+    )
     write_solution(solution, folder)
     if COMM.rank > 0:
         return

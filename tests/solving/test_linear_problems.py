@@ -10,7 +10,6 @@ from mpi4py import MPI
 
 from signorini_fenicsx.api import Diffusion, Dirichlet, Elasticity, Neumann, solve
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.solving.solver import solve as solve_parts
 
 COMM = MPI.COMM_WORLD
@@ -42,7 +41,7 @@ def test_rates_and_bounds():
     for n in (8, 16):
         domain = box(COMM, n, [0.0, 0.0], [1.0, 1.0])
         young, u, f = smooth(domain, 0.3)
-        problem = ElasticProblem(young, 0.3, f=f, u_D=u, exact=u)
+        problem = Elasticity(young, 0.3, f=f, u_D=u, exact=u)
         solution = solve_parts(domain, problem)
         errors.append(solution.errors()["energy"])
         bounds.append(solution.certify().bound)

@@ -12,11 +12,19 @@ from dolfinx import fem, mesh
 from dolfinx.fem.petsc import LinearProblem
 from mpi4py import MPI
 
-from signorini_fenicsx import InputError, NumericalFailure, Solution, domain_of, load_solution, solve
+from signorini_fenicsx import (
+    Diffusion,
+    InputError,
+    Neumann,
+    NumericalFailure,
+    Signorini,
+    Solution,
+    domain_of,
+    load_solution,
+    solve,
+)
 from signorini_fenicsx.extend import Step, write_solution
-from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion import solution as module
-from signorini_fenicsx.physics.diffusion.problem import Problem
 
 COMM = MPI.COMM_WORLD
 WALLS = {
@@ -26,11 +34,13 @@ WALLS = {
 }
 
 
-def solved(f: str = "40*(x - 0.6)", n: int = 8, **data: object) -> Solution:
+def solved(f: str = "40*(x - 0.6)", n: int = 8, g_N: float = 0.0) -> Solution:
     """On a square with Γ_S below and Γ_N on the right."""
     square = mesh.create_unit_square(COMM, n, n)
-    boundary = Boundary(["bottom"], ["right"])
-    return solve(domain_of(square, WALLS), Problem(f=f, psi="0.1*x - 0.05", **data, boundary=boundary))
+    return solve(
+        domain_of(square, WALLS),
+        Diffusion(f=f, conditions=[Signorini("bottom", "0.1*x - 0.05"), Neumann("right", g_N)]),
+    )
 
 
 def test_examples():
@@ -80,7 +90,7 @@ def test_fluxes_balance_the_load():
     square = mesh.create_unit_square(COMM, 4, 4)
     middle = {"bottom": WALLS["bottom"], "middle": lambda x: np.isclose(x[0], 0.5)}
     facets = {name: mesh.locate_entities(square, 1, where) for name, where in middle.items()}
-    inner = solve(domain_of(square, facets), Problem(f=1.0, boundary=Boundary(["bottom"])))
+    inner = solve(domain_of(square, facets), Diffusion(f=1.0, conditions=[Signorini("bottom")]))
     with pytest.raises(InputError, match="part 'middle' has facets inside the domain"):
         inner.flux_through("middle")
 
@@ -155,16 +165,16 @@ def test_a_solve_is_safe_from_the_collector():
     """Python's collector could free meshes at any time, which may hang MPI."""
     enabled = []
     square = mesh.create_unit_square(COMM, 4, 4)
-    domain, boundary = domain_of(square, WALLS), Boundary(["bottom"])
+    domain = domain_of(square, WALLS)
 
     def on_step(step: Step) -> None:
         enabled.append(gc.isenabled())
 
     gc.enable()
-    solve(domain, Problem(f="40*(x - 0.6)", boundary=boundary), on_step=on_step)
+    solve(domain, Diffusion(f="40*(x - 0.6)", conditions=[Signorini("bottom")]), on_step=on_step)
     assert gc.isenabled()
     assert enabled
     assert not any(enabled)
     with pytest.raises(InputError):
-        solve(domain, Problem(f="0*", boundary=boundary))
+        solve(domain, Diffusion(f="0*", conditions=[Signorini("bottom")]))
     assert gc.isenabled()

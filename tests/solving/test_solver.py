@@ -19,12 +19,23 @@ from made_cases import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import Contact, Coulomb, Diffusion, Elasticity, Evolution, Signorini, evolve
+from signorini_fenicsx import (
+    Contact,
+    Coulomb,
+    Diffusion,
+    Elasticity,
+    Evolution,
+    Signorini,
+    evolve,
+    load_case,
+    solve_case,
+)
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
+from signorini_fenicsx.expressions import reader
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -104,6 +115,33 @@ def test_other_methods_and_multigrid(folder: Path):
         assert_same(solver.solve(problem, option), solve(domain, problem, option), 1e-9)
 
 
+@pytest.mark.parametrize("kind", [Diffusion, Elasticity])
+def test_a_problem_is_sorted_once(kind: Any, monkeypatch: pytest.MonkeyPatch):
+    """In `solve`, and by a solver that solves the problem that it was set up for, in time too."""
+    sorts, on = [], kind.on
+    monkeypatch.setattr(kind, "on", lambda problem, domain: sorts.append(1) or on(problem, domain))
+    domain = build_domain(COMM, "square", 0.5, mesh="structured")
+    given = {"f": "x"} if kind is Diffusion else {"young": 1, "poisson": 0.3, "f": ["0", "-x"]}
+    problem = kind(**given, conditions=[(Signorini if kind is Diffusion else Contact)("bottom")])
+    for run in (
+        lambda: solve(domain, problem),
+        lambda: Solver(domain, problem).solve(problem),
+        lambda: list(evolve(domain, problem, Evolution(1.0, 2))),
+    ):
+        run()
+        assert len(sorts) == 1
+        sorts.clear()
+
+
+def test_texts_are_parsed_once():
+    """In a run of a case file each text is parsed once, for whatever coordinates it is read."""
+    case = load_case("example1").with_values({"solve.h": 0.5})
+    texts = {text for _, text, _ in case.texts()}
+    reader._read.cache_clear()
+    solve_case(case.with_values({}))
+    assert reader._read.cache_info().misses <= len(texts)
+
+
 @pytest.mark.parallel([1, 2])
 def test_one_factorisation_for_all_sets(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """With the same κ as before, here one that jumps, no conditions are imposed on the matrix."""
@@ -145,7 +183,7 @@ def test_what_fails_does_not_spoil_what_follows(folder: Path):
         solver.solve(posed(f=1, kappa=-1))
     assert_same(solver.solve(PROBLEMS[1]), expected, 1e-12)
     with pytest.raises(InputError, match="unknown part 'roof'"):
-        Solver(domain, Problem(0, boundary=Boundary(signorini=["roof"])))
+        Solver(domain, Diffusion(0, conditions=[Signorini("roof")]))
 
 
 def test_the_example():

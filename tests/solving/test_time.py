@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from signorini_fenicsx import Diffusion, Signorini
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Wall
@@ -102,7 +103,7 @@ def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.Monk
     monkeypatch.setattr(LinearSolver, "solve", count)
     monkeypatch.setattr(data_module, "cell_means", count_means)
     solver, problem = (
-        Solver(square(1 / 8), Problem(0, boundary=BOTTOM)),
+        Solver(square(1 / 8), Diffusion(0, conditions=[Signorini("bottom")])),
         Problem(f="(20 + exp(-t))*(x - 0.6)", u_D="x*(1 - exp(-t))"),
     )
     numbers, means, data = [], [], []
@@ -120,14 +121,14 @@ def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.Monk
 def test_a_step_starts_from_earlier_solutions():
     """From their combination nearest in energy: after three steps a load that they span is solved at once."""
     options = Options(tuning=Tuning(direct_up_to=0))
-    solver = Solver(square(1 / 8), Problem(0, boundary=BOTTOM))
+    solver = Solver(square(1 / 8), Diffusion(0, conditions=[Signorini("bottom")]))
     loads = ["x - 0.6", "x - 0.6 + y/9", "x - 0.6 + sin(9*x)/9", "x - 0.6 + y/7 - sin(9*x)/8"]
-    found = [solver.solve(Problem(f=loads[0], psi=-1, boundary=BOTTOM), options)]
+    found = [solver.solve(Diffusion(f=loads[0], conditions=[Signorini("bottom", -1)]), options)]
     for f in loads[1:]:
-        found.append(solver.solve(Problem(f=f, psi=-1, boundary=BOTTOM), options, start=found[-1]))
+        found.append(solver.solve(Diffusion(f=f, conditions=[Signorini("bottom", -1)]), options, start=found[-1]))
     taken = [sum(step.linear_iterations for step in each.outcome.history) for each in found]
     assert taken[3] <= 2 < taken[2]
-    anew = solve(square(1 / 8), Problem(f=loads[3], psi=-1, boundary=BOTTOM), options)
+    anew = solve(square(1 / 8), Diffusion(f=loads[3], conditions=[Signorini("bottom", -1)]), options)
     np.testing.assert_allclose(found[3].u.x.array, anew.u.x.array, atol=1e-11)
 
 
@@ -143,11 +144,8 @@ def test_nothing_grows():
 
 def test_at_rest_u_is_rounding():
     """Until ψ rises above 0 at t = 1.5; nothing drives u before, and its rounding is no load of the next step."""
-    problem = Problem(f=0, psi="t - 1.5", c="x")
-    found = [
-        each.solution.norms()["u_L2"]
-        for each in evolve(square(0.25), replace(problem, boundary=BOTTOM), Evolution(2.0, 8))
-    ]
+    problem = Diffusion(f=0, c="x", conditions=[Signorini("bottom", "t - 1.5")])
+    found = [each.solution.norms()["u_L2"] for each in evolve(square(0.25), problem, Evolution(2.0, 8))]
     assert max(found[:6]) < 1e-15
     assert min(found[6:]) > 0.01
 
@@ -183,5 +181,6 @@ def test_bad_input():
         ({"end": 1.0, "steps": 1}, {"psi": "(-2)^(t/2)"}, r"\[problem\] psi: cannot be evaluated: math domain"),
         ({"end": 1.0, "steps": 2}, {"c": lambda x: x[0]}, r"\[time\]: c and capacity must be numbers, texts or UFL"),
     ]:
+        below = Signorini("bottom", psi=problem.pop("psi", 0.0))
         with pytest.raises(InputError, match=message):
-            list(evolve(domain, Problem(**({"f": 1} | problem), boundary=BOTTOM), Evolution(**evolution)))
+            list(evolve(domain, Diffusion(**{"f": 1} | problem, conditions=[below]), Evolution(**evolution)))

@@ -37,5 +37,8 @@ class BedCase(CaseFile):
     first_words = ("rests",)
     first_data = (("k = 2", "", ""), ("f = -1", "", ""))
 
-    def posed(self, dim: int, step: int | None = None):
+    def posed(self, dim: int):
         return Bed(self.problem.k, self.problem.f, Edges(self.boundary.rests))
+
+    def at_step(self, posed: Bed, step: int | None, dim: int):
+        return posed

@@ -16,7 +16,7 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, create_unit_square
 from mpi4py import MPI
 
-from signorini_fenicsx import api
+from signorini_fenicsx import Contact, Diffusion, Elasticity, Neumann, Signorini, api
 from signorini_fenicsx.api import adapt, certify, compare, evolve
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.solving import solve_case
@@ -149,7 +149,7 @@ def test_own_backend():
     mesh, parts = square()
     x = ufl.SpatialCoordinate(mesh)
     options = Options(algorithm="alg4", eps=1e-3, backend=Counting)
-    solution = solve(domain_of(mesh, parts), Problem(f=40 * (x[0] - 0.6), boundary=Boundary(["bottom"])), options)
+    solution = solve(domain_of(mesh, parts), Diffusion(f=40 * (x[0] - 0.6), conditions=[Signorini("bottom")]), options)
     assert Counting.solves == len(solution.outcome.history) + 1  # the start, too
     assert solution.outcome.backend == "counting"
     kind = solution.outcome.conditions.kind
@@ -176,13 +176,15 @@ def one_step(task: Task) -> Outcome:
 def test_own_method():
     """A user's method is judged by the KKT residuals like any other."""
     mesh, parts = square()
-    domain, boundary = domain_of(mesh, parts), Boundary(["bottom"])
+    domain = domain_of(mesh, parts)
     options = Options(algorithm=Method("contact everywhere", "", one_step))
-    solution, expected = (solve(domain, Problem(f=-1.0, boundary=boundary), given) for given in (options, Options()))
+    solution, expected = (
+        solve(domain, Diffusion(f=-1.0, conditions=[Signorini("bottom")]), given) for given in (options, Options())
+    )
     np.testing.assert_allclose(solution.sigma.x.array, expected.sigma.x.array, atol=1e-12)
     assert solution.summary()["algorithm"] == "own"
     with pytest.raises(NumericalFailure, match="KKT residuals above"):
-        solve(domain, Problem(f="40*(x - 0.6)", boundary=boundary), options)
+        solve(domain, Diffusion(f="40*(x - 0.6)", conditions=[Signorini("bottom")]), options)
 
 
 @pytest.mark.parallel(2)
@@ -192,7 +194,9 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
     domain, boundary = domain_of(mesh, parts), Boundary(["bottom"], ["right"], [])
     text, x = "40*(x - 0.6)", ufl.SpatialCoordinate(mesh)
     solution = solve(
-        domain, Problem(f=text, kappa=[[2, 0], [0, 1]], boundary=boundary), Options(algorithm="alg3", eps=1e-6)
+        domain,
+        Diffusion(f=text, kappa=[[2, 0], [0, 1]], conditions=[Signorini("bottom"), Neumann("right", 0)]),
+        Options(algorithm="alg3", eps=1e-6),
     )
     write_solution(solution, folder, certificate=certify(solution))
     read = load_solution(folder, COMM)
@@ -202,7 +206,9 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
     again = solve(domain, replace(read.problem, boundary=boundary), start=read)
     assert len(again.outcome.history) <= len(solution.outcome.history)
     ufl_given = solve(
-        domain, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]], boundary=boundary), Options(algorithm=OWN)
+        domain,
+        Diffusion(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]], conditions=[Signorini("bottom"), Neumann("right", 0)]),
+        Options(algorithm=OWN),
     )
     write_solution(ufl_given, folder)
     with pytest.raises(InputError, match="f: given in Python, so not in the file; pass the problem to load_solution"):
@@ -308,7 +314,7 @@ def test_refusals():
         domain_of(quads, parts)
     other, _ = square()
     with pytest.raises(InputError, match=r"f: is UFL on another mesh; write it on `domain.mesh`"):
-        solve(domain, Problem(f=ufl.SpatialCoordinate(other)[0], boundary=bottom))
+        solve(domain, Diffusion(f=ufl.SpatialCoordinate(other)[0], conditions=[Signorini("bottom")]))
     for chosen, message in [
         ("bottom", r"parts\['low'\]: must be an array of facet numbers, integers, or a function of points"),
         ([0.5, 1.0], "must be an array of facet numbers"),
@@ -389,9 +395,10 @@ def test_the_collector_is_off_in_all_that_is_collective(folder: Path):
             frame = frame.f_back
         wrong.update(names[-1:])
 
-    held = ElasticBoundary(["bottom"], ["right"])
-    body = ElasticProblem(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], gap=0.1, boundary=held)
-    problem = Problem(f="-t", boundary=Boundary(["bottom"], ["right"]))
+    body = Elasticity(
+        young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], conditions=[Contact("bottom", 0.1), Neumann("right", 0)]
+    )
+    problem = Diffusion(f="-t", conditions=[Signorini("bottom"), Neumann("right", 0)])
     case, in_time = api.load_case("example1").with_values({"solve.h": 0.5}), Evolution(end=1.0, steps=2)
     mesh, parts = square(4)
     before, was_on = gc.get_threshold(), gc.isenabled()

@@ -23,10 +23,10 @@ from signorini_fenicsx.meshes.memory import BYTES_PER_FACET
 from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import depends_on_u
 from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
-from signorini_fenicsx.physics.diffusion.problem import NO_RT0, Problem, laws_of, of_u
+from signorini_fenicsx.physics.diffusion.problem import NO_RT0, Problem, laws_of
 from signorini_fenicsx.physics.diffusion.soil_section import SoilTexts, kappa_of
 from signorini_fenicsx.physics.diffusion.soils import FORMS
-from signorini_fenicsx.solving.evolution import SCHEMES
+from signorini_fenicsx.solving.evolution import SCHEMES, Evolution
 from signorini_fenicsx.solving.options import ELEMENTS
 
 COSTS = {
@@ -80,7 +80,7 @@ class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
             InputError: If an expression cannot be read.
         """
         places = {key: f"[problem] {key}" for key, _ in self if key not in self.words}
-        data = {key: parsed(getattr(self, key), names + of_u(place), place) for key, place in places.items()}
+        data = {key: parsed(getattr(self, key), names + Problem.of_u(place), place) for key, place in places.items()}
 
         def on(key: str, part: str) -> Any:
             return data[key].get(part, NOTHING) if isinstance(data[key], Mapping) else data[key]
@@ -269,7 +269,7 @@ class Case(WithPairs):
         held = [*self.problem.u_D] if self.boundary.dirichlet is None and "u_D" in self.problem.by_part else []
         return super().lists | ({"problem.u_D": held} if held else {})
 
-    def posed(self, dim: int, step: int | None = None) -> Problem:
+    def posed(self, dim: int) -> Problem:
         """The data as trees, with the exact u if it is given, and the parts, see `CaseFile.posed`."""
         names = "xyz"[:dim] + ("" if self.time is None else "t")
         exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
@@ -280,8 +280,7 @@ class Case(WithPairs):
         neumann = [part for part in self.boundary.neumann if part not in with_laws]
         boundary = Posed(self.boundary.signorini, neumann, self.inner, [pair.on_boundary for pair in pairs])
         problem = replace(problem, exact=exact, laws=laws, boundary=boundary)
-        if self.soil:
-            problem = replace(problem, kappa=kappa_of(self.soil))
-        if step is None or self.time is None:
-            return problem
-        return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
+        return replace(problem, kappa=kappa_of(self.soil)) if self.soil else problem
+
+    def _of_step(self, posed: Problem, evolution: Evolution, step: int, dim: int) -> Problem:
+        return problem_of_step(posed, evolution, step, dim)

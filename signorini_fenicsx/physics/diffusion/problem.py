@@ -1,29 +1,25 @@
 """A diffusion problem as the user gives it, and sorted by the kinds of its boundary."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, River, Seepage, Signorini
-from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
+from signorini_fenicsx.discrete.on_parts import OnBoundary, check_conditions, check_laws, names_all, same_value
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import (
     Given,
     GivenByRegion,
     GivenMatrix,
     GivenVectorByRegion,
-    at_time,
     parsed,
     with_data,
 )
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
-from signorini_fenicsx.meshes.paired_parts import named_laws
 from signorini_fenicsx.physics.diffusion.soils import FORMS
 
-NO_DATA = ("laws", "boundary", "form")
-"""The fields of a `Problem` that are no data."""
 NO_RT0 = (
     "element: pairs of surfaces take RT1, as RT0 is constant on facets and would not be exact for a u that is linear; "
     "take RT1, or leave out the element"
@@ -79,6 +75,7 @@ class Diffusion(Scalar):
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
         check_conditions(self.conditions, Law, Pair, example='[Signorini("bottom"), Neumann("left", 1)]')
+        object.__setattr__(self, "conditions", tuple(self.conditions))
         for pair in [each for each in self.conditions if isinstance(each, Pair)]:
             laws_of(pair)
 
@@ -141,7 +138,7 @@ def laws_of(pair: Pair) -> list[Law]:
 
 
 @dataclass(frozen=True)
-class Problem(Scalar):
+class Problem(Scalar, OnBoundary):
     """−∇·(κ∇u) + cu = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one.
 
     On the parts of `laws` these hold instead of ψ and q_S. With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω,
@@ -171,36 +168,19 @@ class Problem(Scalar):
     q_S: Given = 0.0
     laws: Sequence[Law] = ()
     boundary: Boundary = field(default_factory=Boundary)
+    no_data = ("laws", "boundary", "form")
 
     def __post_init__(self) -> None:
         """Refuse a law that is not in a list, and add the parts of laws to Γ_S."""
-        if not isinstance(self.laws, Sequence) or not all(isinstance(law, Law) for law in self.laws):
-            raise InputError('laws: must be a list of laws, such as [Friction(["left"], g=1)]')
+        check_laws(self.laws, 'Friction(["left"], g=1)')
         check_kind("boundary", self.boundary, Boundary)
         parts = [*self.boundary.signorini, *(part for law in self.laws for part in law.parts)]
         object.__setattr__(self, "boundary", replace(self.boundary, signorini=list(dict.fromkeys(parts))))
 
     @property
-    def named_laws(self) -> list[tuple[str, Law]]:
-        """All laws with their names in messages."""
-        return named_laws(self.laws, self.boundary.pairs)
-
-    @property
     def has_laws_inside(self) -> bool:
         """Whether there are laws in Ω other than reactions."""
         return self.obstacle is not None or any(law.region and not isinstance(law, Reaction) for law in self.laws)
-
-    def at(self, t: float) -> "Problem":
-        """The problem at a time, from one that `in_time` has read."""
-        return self._changed(lambda _, given: at_time(given, t))
-
-    def in_time(self, dim: int) -> "Problem":
-        """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
-
-        Raises:
-            InputError: If a text cannot be read.
-        """
-        return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t" + of_u(key), key))
 
     def parsed(self, dim: int) -> "Problem":
         """The problem, with numbers and texts read as trees, but not those of the laws.
@@ -208,14 +188,9 @@ class Problem(Scalar):
         Raises:
             InputError: If a text cannot be read.
         """
-        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim] + of_u(key), key), but=NO_DATA)
+        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim] + self.of_u(key), key), but=self.no_data)
 
-    def _changed(self, change: Callable[[str, Any], Any]) -> "Problem":
-        """The problem with changed data, also those of the laws, see `with_data`."""
-        laws = tuple(law.with_data(change) for law in self.laws)
-        return replace(with_data(self, change, but=NO_DATA), laws=laws)
-
-
-def of_u(key: str) -> str:
-    """The name u for a datum that may depend on it, κ; empty for the others."""
-    return "u" if key == "[problem] kappa" else ""
+    @staticmethod
+    def of_u(key: str) -> str:
+        """The name u for κ, which may depend on it; empty for the others."""
+        return "u" if key == "[problem] kappa" else ""

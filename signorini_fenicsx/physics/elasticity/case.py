@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Cost
+from signorini_fenicsx.cases.case import Cost, Solve
+from signorini_fenicsx.cases.complaints import told
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.pairs import BETWEEN, OF_KIND, OF_LAWS, PairTexts, WithPairs
@@ -63,10 +63,8 @@ class ElasticParts(PartLists):
 
     @model_validator(mode="after")
     def _components(self) -> Self:
-        try:
+        with told():
             self.read(self.contact)
-        except InputError as error:
-            raise ValueError(str(error)) from None
         return self
 
     def read(self, contact: list[str], turned: Sequence[str] = (), pairs: Sequence[Pair] = ()) -> ElasticBoundary:
@@ -240,6 +238,19 @@ class ElasticExact(DataSection):
     u: Vector | None = None
 
 
+def check_solve(solve: Solve, what: str) -> None:
+    """Refuse what bodies and flows do not have in `[solve]`.
+
+    Raises:
+        ValueError: If the algorithm is none of theirs, or a key is not.
+    """
+    with told("[solve] "):
+        rule_of(Options(algorithm=solve.algorithm))
+    for key in ("backend", "element", "rho", "eps"):
+        if key in solve.model_fields_set:
+            raise ValueError(f"[solve] {key}: {what} has no such key")
+
+
 FIRST_DATA = (
     ("young = 1", "Young's modulus; also by region or body: {{up = 1, low = 2}}", ""),
     ("poisson = 0.3", "Poisson's ratio", ""),
@@ -323,16 +334,10 @@ class ElasticCase(WithPairs):
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:
-        try:
-            rule_of(Options(algorithm=self.solve.algorithm))
-        except InputError as error:
-            raise ValueError(f"[solve] {error}") from None
-        for key in ("backend", "element", "rho", "eps"):
-            if key in self.solve.model_fields_set:
-                raise ValueError(f"[solve] {key}: elastic contact has no such key")
+        check_solve(self.solve, "elastic contact")
         return self
 
-    def posed(self, dim: int, step: int | None = None) -> ElasticProblem:
+    def posed(self, dim: int) -> ElasticProblem:
         """The parts and the data, see `CaseFile.posed`."""
         values: dict[str, Any] = dict(self.problem)
         gaps = dict.fromkeys(self.boundary.contact, self.problem.gap)
@@ -345,7 +350,4 @@ class ElasticCase(WithPairs):
         turned = [part for law in laws if getattr(law, "behind", False) for part in law.parts]
         contact = [*self.meeting, *(part for each in on_slaves for part in each.parts)]
         meeting, boundary = of_meeting([*laws, *on_slaves]), self.boundary.read(contact, turned, pairs)
-        problem = ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=boundary)
-        if step is None or self.time is None:
-            return problem
-        return problem.in_time(dim).at(self.time.evolution().time(step))
+        return ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=boundary)

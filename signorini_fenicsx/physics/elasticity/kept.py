@@ -13,7 +13,7 @@ from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.elasticity.conditions import LAWS_OF_BODIES
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
-from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, Slipping, law_of_sites
+from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, Slipping
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.show.tables import STATES
@@ -88,15 +88,14 @@ def read(
         along = spaces.in_frames(stored.on_facets(spaces.mesh.comm, "slip_vector")[0][rough])
         segment = np.zeros(len(along))
         of_friction = data.reactions(spaces, stresses, along - data.slipped)
-        shear = spaces.site_kinds["slip"].of(of_friction).reshape(-1, 3, 2)
+        shear = spaces.site_kinds["slip"].rows_of(of_friction)
         after = data.friction.left((along - data.slipped).reshape(shear.shape), shear)
         slipping = _slipping(state[rough] == STATES.index("stick"), shear, after)
         data = replace(data, friction=replace(data.friction, slipping=slipping))
-    chains = law_of_sites(data.laws.chains, data.friction)
     reactions = data.reactions(spaces, stresses, along - data.slipped)
     pressure = spaces.site_kinds["normal"].of(reactions)
     normal = data.laws.chains.nearest(condition.ravel().astype(np.int8), p.ravel(), pressure)
-    conditions = chains.conditions(np.concatenate([normal, segment]).astype(np.int64))
+    conditions = data.chains.conditions(np.concatenate([normal, segment]).astype(np.int64))
     iterate = Iterate(
         p=np.concatenate([p.ravel(), along - data.slipped]),
         flux=reactions,

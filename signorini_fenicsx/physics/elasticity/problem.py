@@ -6,9 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy.typing as npt
 from ufl.core.expr import Expr
@@ -17,11 +16,11 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, check_kind, check_names
 from signorini_fenicsx.contact.law import Law, OnParts
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
-from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
+from signorini_fenicsx.discrete.on_parts import OnBoundary, by_part, check_conditions, check_laws, names_all, one_value
 from signorini_fenicsx.discrete.pairs import Pair, Tied
-from signorini_fenicsx.expressions.given import Given, GivenMatrix, GivenVectorByRegion, at_time, parsed, with_data
+from signorini_fenicsx.expressions.given import Given, GivenMatrix, GivenVectorByRegion
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
-from signorini_fenicsx.meshes.paired_parts import PairedParts, named_laws, paired_parts, without_law
+from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts, without_law
 from signorini_fenicsx.physics.elasticity.conditions import (
     Closed,
     Contact,
@@ -142,6 +141,7 @@ class Elasticity(ElasticBody):
         """Refuse other conditions, and parts with two."""
         example = '[Contact("bottom", gap=0.1), Dirichlet("left", 0, components="x")]'
         check_kind("conditions", self.conditions, Sequence, hint=f"; an example is {example}")
+        object.__setattr__(self, "conditions", tuple(self.conditions))
         loads_held = [condition for condition in self.conditions if self._loads_held(condition)]
         others = [condition for condition in self.conditions if not self._loads_held(condition)]
         if any(isinstance(condition, Friction) for condition in others):
@@ -153,17 +153,10 @@ class Elasticity(ElasticBody):
 
     def _loads_held(self, condition: object) -> bool:
         """Whether a condition is a load or a law on parts that are fixed in some components, or a load on springs."""
-        held = {
-            part
-            for other in self.conditions
-            if isinstance(other, Support) or (isinstance(other, Dirichlet) and other.components is not None)
-            for part in other.parts
-        }
+        fixed = set(fixed_in(self.conditions))
         if isinstance(condition, Neumann | Pressure):
-            return set(condition.parts) <= held
-        fixed = [each for each in self.conditions if isinstance(each, Dirichlet) and each.components is not None]
-        some = {part for each in fixed for part in each.parts}
-        return (isinstance(condition, Contact) or is_normal(condition)) and set(condition.parts) <= some
+            return set(condition.parts) <= fixed | set(by_part(self.conditions, Support))
+        return (isinstance(condition, Contact) or is_normal(condition)) and set(condition.parts) <= fixed
 
     @property
     def solution_type(self) -> type[ElasticSolution]:
@@ -174,9 +167,7 @@ class Elasticity(ElasticBody):
 
     def on(self, domain: Domain) -> ElasticProblem:
         """The problem on a domain, sorted by the kinds of its boundary (collective)."""
-        dirichlet = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
-        loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
-        springs = [condition for condition in self.conditions if isinstance(condition, Support)]
+        springs, fixed = by_part(self.conditions, Support), fixed_in(self.conditions)
         meeting: list[Meeting] = [
             each for each in self.conditions if isinstance(each, Contact | JointSprings) or is_normal(each)
         ]
@@ -186,8 +177,7 @@ class Elasticity(ElasticBody):
         inner = [part for each in meeting for part in each.parts if other_side(part) in domain.parts]
         meeting += [law for pair in pairs if (law := on_slave(pair)) is not None]
         beside = without_law([pair.on_boundary for pair in pairs])
-        fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
-        pulled = dict.fromkeys(part for each in [*loads, *springs] for part in each.parts)
+        pulled = by_part(self.conditions, Neumann, Pressure) | springs
         boundary = ElasticBoundary(
             contact=[part for each in meeting for part in each.parts],
             neumann=[*(part for part in pulled if part not in fixed), *beside],
@@ -196,20 +186,32 @@ class Elasticity(ElasticBody):
             pairs=[pair.on_boundary for pair in pairs],
             turned=[part for each in meeting if getattr(each, "behind", False) for part in each.parts],
         )
-        u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
-        if not names_all(domain, self.conditions):
-            u_D |= {"": self.u_D}
-        same = {each.name: getattr(self, each.name) for each in fields(ElasticBody) if each.name != "u_D"}
+        same = {each.name: getattr(self, each.name) for each in fields(ElasticBody)}
+        given = given_on_parts(domain, self)
         return ElasticProblem(
-            **same,
+            **same | given | {"u_D": one_value(given["u_D"], None)},
             boundary=boundary,
-            u_D=one_value(u_D, None),
-            g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
-            pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
-            support={part: each.stiffness for each in springs for part in each.parts},
+            support={part: each.stiffness for part, each in springs.items()},
             gap=one_value(gaps, 0.0),
             **of_meeting(meeting),
         )
+
+
+def fixed_in(conditions: Sequence[Any]) -> dict[str, str]:
+    """The parts on which some components are given, and which."""
+    held = by_part(conditions, Dirichlet)
+    return {part: each.components for part, each in held.items() if each.components is not None}
+
+
+def given_on_parts(domain: Domain, problem: Any) -> dict[str, Any]:
+    """What is given on parts by the conditions of a problem: `u_D`, `g_N` and `pressure` (collective)."""
+    held, pulled, pressed = (by_part(problem.conditions, kind) for kind in (Dirichlet, Neumann, Pressure))
+    elsewhere = {} if names_all(domain, problem.conditions) else {"": problem.u_D}
+    return {
+        "u_D": {part: nothing_for_0(each.value) for part, each in held.items()} | elsewhere,
+        "g_N": {part: nothing_for_0(each.value) for part, each in pulled.items()},
+        "pressure": {part: each.value for part, each in pressed.items()},
+    }
 
 
 def of_meeting(meeting: Sequence[Meeting]) -> dict[str, Any]:
@@ -285,7 +287,7 @@ class ElasticBoundary:
 
 
 @dataclass(frozen=True)
-class ElasticProblem(ElasticBody):
+class ElasticProblem(ElasticBody, OnBoundary):
     """−∇·σ = f, σ = ℂε(u), u = u_D on Γ_D, σn = g_N on Γ_N; u_n ≤ g, σ_nn ≤ 0, one of them equal, σ_t = 0 on Γ_C.
 
     Attributes:
@@ -329,13 +331,13 @@ class ElasticProblem(ElasticBody):
     joint: GivenByPart = field(default_factory=dict)
     boundary: ElasticBoundary = field(default_factory=ElasticBoundary)
     viscosity: GivenViscosity | None = None
+    no_data = ("plane", "laws", "numbers", "surface", "boundary")
 
     def __post_init__(self) -> None:
         """Refuse what is neither strain nor stress, other laws, and parts with two; add the parts of laws to Γ_C."""
         if self.plane not in list(PlaneState):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
-        if not isinstance(self.laws, Sequence) or not all(isinstance(law, Law) for law in self.laws):
-            raise InputError('laws: must be a list of laws, such as [CoulombLaw("bottom", 0.3)]')
+        check_laws(self.laws, 'CoulombLaw("bottom", 0.3)')
         if any(law.region for law in self.laws):
             raise InputError("laws: those of an elastic body hold on parts, not in regions")
         parts = [(part, is_normal(law)) for law in self.laws for part in law.parts]
@@ -371,28 +373,6 @@ class ElasticProblem(ElasticBody):
             if (part in normal and part not in self.joint) or part in self.boundary.turned:
                 raise InputError(f"laws: Coulomb's friction on '{part}' needs contact there, and no other normal law")
 
-    def in_time(self, dim: int) -> Self:
-        """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
-
-        Raises:
-            InputError: If a text cannot be read.
-        """
-        return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t", key))
-
-    def at(self, t: float) -> Self:
-        """The problem at a time, from one that `in_time` has read."""
-        return self._changed(lambda _, given: at_time(given, t))
-
-    def _changed(self, change: Callable[[str, Any], Any]) -> Self:
-        """The problem with changed data, also those of the laws, see `with_data`."""
-        laws = [law.with_data(partial(_changed_in, name, change)) for name, law in self.named_laws]
-        return replace(with_data(self, change, but=("plane", "laws", "numbers", "surface", "boundary")), laws=laws)
-
-    @property
-    def named_laws(self) -> list[tuple[str, Law]]:
-        """All laws with their names in messages."""
-        return named_laws(self.laws, self.boundary.pairs, self.numbers)
-
     @property
     def rough(self) -> list[str]:
         """The parts with friction."""
@@ -404,11 +384,6 @@ class ElasticProblem(ElasticBody):
         laws = [(name, law) for name, law in self.named_laws if is_normal(law)]
         closed = [part for part in self.boundary.contact if self.boundary.fixed.get(part) == NORMAL]
         return [*laws, *([("fixed", Closed(closed))] if closed else [])]
-
-
-def _changed_in(law: str, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:
-    """A datum of the law with this name, changed under the name of it that messages have."""
-    return change(f"{law}.{key.partition('.')[2]}", given)
 
 
 def nothing_for_0(value: Any) -> Any:

@@ -16,7 +16,7 @@ from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_fro
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, elastic_data
-from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, law_of_sites
+from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, to_entries
 from signorini_fenicsx.physics.elasticity.discrete.material import regular
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
@@ -201,9 +201,8 @@ class ElasticSolution(Solution):
 
     def segments(self) -> Segments:
         """The segments from which the next step in time starts, with the bounds of the shear."""
-        chains = law_of_sites(self.data.laws.chains, self.data.friction)
         bound = self.spaces.site_kinds["slip"].spread(self.data.friction.bound)
-        return Segments(self.spaces, chains.segments(self.outcome.conditions), {"bound": bound})
+        return Segments(self.spaces, self.data.chains.segments(self.outcome.conditions), {"bound": bound})
 
     @property
     def _states_or_open(self) -> Indices:

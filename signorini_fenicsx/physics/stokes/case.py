@@ -5,8 +5,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import CaseFile, Cost
+from signorini_fenicsx.cases.complaints import told
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.pairs import OF_LAWS
@@ -22,10 +22,9 @@ from signorini_fenicsx.cases.values import (
 )
 from signorini_fenicsx.contact.law import NO_DATA, Law
 from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.physics.elasticity.case import check_solve
 from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
-from signorini_fenicsx.physics.elasticity.solving import rule_of
 from signorini_fenicsx.physics.stokes.problem import INSIDE, Leak, Outflow, Slip, StokesProblem, of_laws, velocities
-from signorini_fenicsx.solving.options import Options
 
 COSTS = {2: Cost(4, 1e4, 4.8e3, 2.4e3), 3: Cost(9, 4.5e4, 390, 170)}
 """Those of bodies, and the solves that keep the volume of cells besides; an order of magnitude."""
@@ -139,20 +138,15 @@ class StokesCase(CaseFile):
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:
-        try:
-            rule_of(Options(algorithm=self.solve.algorithm))
+        with told():
             self.posed(3)
-        except InputError as error:
-            raise ValueError(str(error)) from None
         given = {*self.meeting, *self.boundary.neumann, *self.boundary.fixed}
         if inside := sorted(given.intersection(self.inner)):
             raise ValueError(f"[boundary] inner: {INSIDE.format(inside[0])}")
-        for key in ("backend", "element", "rho", "eps"):
-            if key in self.solve.model_fields_set:
-                raise ValueError(f"[solve] {key}: viscous flow has no such key")
+        check_solve(self.solve, "viscous flow")
         return self
 
-    def posed(self, dim: int, step: int | None = None) -> StokesProblem:
+    def posed(self, dim: int) -> StokesProblem:
         """The parts and the data, see `CaseFile.posed`."""
         values: dict[str, Any] = dict(self.problem)
         made = [law.made() for law in self.law]
@@ -161,7 +155,4 @@ class StokesCase(CaseFile):
         if walls:
             u_D = values["u_D"]
             values["u_D"] = {**(u_D if isinstance(u_D, dict) else {"": u_D}), **walls}
-        problem = StokesProblem(**values, **laws, exact=self.exact.u, exact_p=self.exact.p)
-        if step is None or self.time is None:
-            return problem
-        return problem.in_time(dim).at(self.time.evolution().time(step))
+        return StokesProblem(**values, **laws, exact=self.exact.u, exact_p=self.exact.p)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
-from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
+from signorini_fenicsx.discrete.on_parts import by_part, check_conditions, one_value
 from signorini_fenicsx.expressions.given import Given, GivenVectorByRegion, negative
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.conditions import is_normal
@@ -21,7 +21,8 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenVector,
     GivenViscosity,
     Pressure,
-    nothing_for_0,
+    fixed_in,
+    given_on_parts,
 )
 
 if TYPE_CHECKING:
@@ -144,6 +145,7 @@ class Stokes(ViscousFlow):
         """Refuse other conditions, and parts with two."""
         example = '[Outflow("right"), Dirichlet("left", [1, 0])]'
         check_kind("conditions", self.conditions, Sequence, hint=f"; an example is {example}")
+        object.__setattr__(self, "conditions", tuple(self.conditions))
         some = [each for each in self.conditions if isinstance(each, Dirichlet) and each.components is not None]
         fixed = {part for each in some for part in each.parts}
         beside = [each for each in self.conditions if set(getattr(each, "parts", ())) <= fixed and each not in some]
@@ -162,30 +164,18 @@ class Stokes(ViscousFlow):
 
     def on(self, domain: Domain) -> StokesProblem:
         """The problem on a domain, sorted by the kinds of its boundary (collective)."""
-        dirichlet = [each for each in self.conditions if isinstance(each, Dirichlet)]
-        loads = [each for each in self.conditions if isinstance(each, Neumann | Pressure)]
         laws = [each for each in self.conditions if isinstance(each, Slip) or is_normal(each)]
         plates = [part for part in domain.parts if other_side(part) in domain.parts]
         others = [each for each in self.conditions if not isinstance(each, Dirichlet) or each.components is not None]
         if inside := [part for each in others for part in each.parts if part in plates]:
             raise InputError(f"conditions: {INSIDE.format(inside[0])}")
-        fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
-        u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
-        if not names_all(domain, self.conditions):
-            u_D |= {"": self.u_D}
-        loaded = dict.fromkeys(part for each in loads for part in each.parts)
-        walls = velocities(laws)
+        fixed, given = fixed_in(self.conditions), given_on_parts(domain, self)
+        loaded = by_part(self.conditions, Neumann, Pressure)
         sorted_laws = of_laws(laws, [part for part in loaded if part not in fixed], fixed, plates)
-        return StokesProblem(
-            viscosity=self.viscosity,
-            f=self.f,
-            exact=self.exact,
-            exact_p=self.exact_p,
-            u_D=one_value(dict.fromkeys(sorted(set(sorted_laws["boundary"].fixed) - set(fixed))) | u_D | walls, None),
-            g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
-            pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
-            **sorted_laws,
-        )
+        of_walls = dict.fromkeys(sorted(set(sorted_laws["boundary"].fixed) - set(fixed)))
+        same = {name: getattr(self, name) for name in ("viscosity", "f", "exact", "exact_p")}
+        u_D = one_value(of_walls | given["u_D"] | velocities(laws), None)
+        return StokesProblem(**same | given | {"u_D": u_D}, **sorted_laws)
 
 
 def velocities(laws: Sequence[Slip | Law]) -> dict[str, GivenVector]:

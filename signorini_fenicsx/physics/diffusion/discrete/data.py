@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -86,7 +87,7 @@ class Data(DataOfU):
     exact: Datum | None
     given: Values = ()
 
-    @property
+    @cached_property
     def chains(self) -> Chains:
         """The law of each site: of each facet of Γ_S and, with laws in Ω, of each owned cell."""
         return self.laws.chains.followed_by(self.inside.chains)

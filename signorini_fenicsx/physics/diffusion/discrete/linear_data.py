@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import basix
 import numpy as np
@@ -48,7 +49,7 @@ class LinearData(Data):
     fixed: npt.NDArray[np.int32]
     constant: float = 0.0
 
-    @property
+    @cached_property
     def chains(self) -> Chains:
         """The law of each facet vertex of Γ_S and, with laws in Ω, of each vertex of each owned cell."""
         return self.laws_at.chains.followed_by(self.cells_at.chains)

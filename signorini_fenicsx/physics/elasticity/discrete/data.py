@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import basix.ufl
@@ -17,6 +18,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
@@ -52,7 +54,7 @@ from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports, supports_of
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool, moves_at_sites, tools_at, tools_of
-from signorini_fenicsx.physics.elasticity.discrete.viscous import Viscous
+from signorini_fenicsx.physics.elasticity.discrete.viscous import Viscous, velocity_of_walls
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 
 DEGREE, LARGEST_DEGREE = DEGREES
@@ -110,6 +112,12 @@ class ElasticData:
     moved: Array
     given: Values = ()
     motions: Array | None = None
+
+    @cached_property
+    def chains(self) -> Chains:
+        """The law of each site: in the normal direction, then friction by its bounds."""
+        normal = self.laws.chains
+        return normal.followed_by(self.friction.chains) if self.friction else normal
 
     @property
     def slip_before(self) -> Array:
@@ -238,7 +246,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     pulled = add_pulls(spaces, pulls, tractions)
     add_tractions(spaces, tractions, pulled, load)
     load.array[normal.unknown] -= normal.measure * laws.flux_h
-    slipped = _velocity_of_walls(spaces, problem, u_D) if before.slipped is None else before.slipped
+    slipped = velocity_of_walls(spaces, problem, u_D) if before.slipped is None else before.slipped
     lift.x.array[slip.unknown] = slipped
     lift.x.scatter_forward()
     data = ElasticData(
@@ -265,26 +273,6 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     )
     _check_cells(spaces, data)
     return data.moved_by(spaces, before.moved)
-
-
-def _velocity_of_walls(spaces: ElasticSpaces, problem: ElasticProblem, u_D: VectorDatum) -> Array:
-    """W, with which walls move along themselves, in the means at the sites with friction (collective).
-
-    Raises:
-        InputError: If it is not linear.
-    """
-    given = problem.u_D if isinstance(problem.u_D, Mapping) else {}
-    slipped = np.zeros((len(spaces.rough.facets), spaces.dim, spaces.dim))
-    for part in problem.rough if spaces.boundary.turned else []:
-        if (value := given.get(part)) is not None:
-            degree = vector_datum_of(spaces, f"u_D.{part}", value).polynomial
-            if degree is None or degree > 1:
-                raise InputError(f"[problem] u_D.{part}: the velocity of a wall with slip must be linear in x, y, z")
-            rows = np.flatnonzero(np.isin(spaces.rough.facets, spaces.domain.facets[part]))
-            facets = spaces.rough.take(rows)
-            moments = facet_moments(spaces, "u_D", u_D, facets, f"on part '{part}'")
-            slipped[rows] = moments * spaces.dim / facets.measure[:, None, None]
-    return spaces.in_frames(slipped)
 
 
 def _check_where_given(spaces: ElasticSpaces, u_D: Any) -> None:

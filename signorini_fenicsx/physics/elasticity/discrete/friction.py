@@ -105,7 +105,7 @@ class FrictionBounds:
         """Whether there is friction whose law turns with the slip, on any rank."""
         return self.somewhere and self.bound.shape[1] == 3
 
-    @property
+    @cached_property
     def chains(self) -> Chains:
         """The law of each site, between u_t and σ_t; in space between their components, stick or a given σ_t."""
         if not self.in_space:
@@ -117,7 +117,7 @@ class FrictionBounds:
         p, flux, slope = np.where(sticks, 0.0, STICKS), np.where(sticks, -STICKS, force), np.where(sticks, np.inf, 0.0)
         return Chains.through(p[:, None], flux[:, None], slope, slope)
 
-    @property
+    @cached_property
     def laws(self) -> VertexLaws:
         """The laws along joints, whose springs share what they do as those across them."""
         chains, none = self.chains, np.zeros(self.bound.size)
@@ -296,11 +296,6 @@ def shortened(vectors: Array, longest: Array) -> Array:
     share = np.divide(longest, size, out=np.ones_like(size), where=size > longest)
     shorter: Array = share[..., None] * vectors
     return shorter
-
-
-def law_of_sites(normal: Chains, friction: FrictionBounds) -> Chains:
-    """The law of each site of an elastic problem: in the normal direction, then friction by these bounds."""
-    return normal.followed_by(friction.chains) if friction else normal
 
 
 def friction_bounds(

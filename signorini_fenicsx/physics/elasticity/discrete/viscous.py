@@ -1,13 +1,16 @@
 """The law of a viscous fluid, ε = 𝔸σ with 𝔸σ = dev σ/2μ: that of an incompressible body, with E = 3μ and ν = ½."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.elasticity.discrete.material import SPACE, Material, read_datum, strains_of
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import VectorDatum, facet_moments, vector_datum_of
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, PlaneState
 
 
@@ -59,3 +62,23 @@ class Viscous(Material):
         """The eigenvalues of 𝔸 in space, shape (cells, points, 6) (collective)."""
         one = 1 / (2 * self.young[0].values(points))
         return np.stack([0 * one, *[one] * (len(SPACE) - 1)], axis=-1)
+
+
+def velocity_of_walls(spaces: ElasticSpaces, problem: ElasticProblem, u_D: VectorDatum) -> Array:
+    """The velocity w with which walls move along themselves, in the means at the sites with friction (collective).
+
+    Raises:
+        InputError: If it is not linear.
+    """
+    given = problem.u_D if isinstance(problem.u_D, Mapping) else {}
+    slipped = np.zeros((len(spaces.rough.facets), spaces.dim, spaces.dim))
+    for part in problem.rough if spaces.boundary.turned else []:
+        if (value := given.get(part)) is not None:
+            degree = vector_datum_of(spaces, f"u_D.{part}", value).polynomial
+            if degree is None or degree > 1:
+                raise InputError(f"[problem] u_D.{part}: the velocity of a wall with slip must be linear in x, y, z")
+            rows = np.flatnonzero(np.isin(spaces.rough.facets, spaces.domain.facets[part]))
+            facets = spaces.rough.take(rows)
+            moments = facet_moments(spaces, "u_D", u_D, facets, f"on part '{part}'")
+            slipped[rows] = moments * spaces.dim / facets.measure[:, None, None]
+    return spaces.in_frames(slipped)

@@ -25,7 +25,7 @@ from signorini_fenicsx.discrete.trace_backend import TraceBackend
 from signorini_fenicsx.discrete.trace_multigrid import STIFF, facet_solver
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, law_of_sites
+from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import neighbours
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Moving
@@ -89,7 +89,7 @@ class ElasticBackend(TraceBackend):
 
     def _take(self, data: ElasticData) -> None:
         """Take data with this matrix (collective)."""
-        spaces, self.data, self.friction = self.spaces, data, data.friction
+        spaces, self.data = self.spaces, data
         self._motions = check_rigid_motions(spaces, data) if data.motions is None else data.motions
         self.tools, self._weak = Moving(spaces, data.tools), WeakSprings(SPRING * self.stiffness * self.measure)
         self._state, self._iterations = State.START, 0
@@ -110,11 +110,20 @@ class ElasticBackend(TraceBackend):
     @property
     def chains(self) -> Chains:
         """The law of each site, of friction by its present bounds."""
-        return law_of_sites(self.data.laws.chains, self.friction)
+        return self.data.chains
+
+    @property
+    def friction(self) -> FrictionBounds:
+        """The present bounds of friction."""
+        return self.data.friction
+
+    @friction.setter
+    def friction(self, friction: FrictionBounds) -> None:
+        self.data = replace(self.data, friction=friction)
 
     def data_found(self) -> ElasticData:
         """The data with the last bounds of friction, and with the tools where they have moved to (collective)."""
-        return replace(self.data.after(self.spaces, self.tools.rho), friction=self.friction)
+        return self.data.after(self.spaces, self.tools.rho)
 
     @property
     def inexact(self) -> Inexact | None:
