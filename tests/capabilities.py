@@ -165,6 +165,7 @@ def _shipped() -> Iterator[Capability]:
     yield own("film", "--certify-steps")
     off = {"mass_error", "content_change", "kappa_change", "kappa_energy_change"}  # rounding
     yield solved("celia", *STRUCTURED, *few, "--set", "time.end=14400", h="20", beside=off)
+    yield solved("celia", "--element", "RT1", *STRUCTURED, *few, "--set", "time.end=14400", h="20", beside=off)
     yield from (solved(case, *few, h="1/8") for case in ("melting", "thawing", "oxygen", "soil"))
 
 
@@ -177,8 +178,7 @@ def _methods() -> Iterator[Capability]:
         yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6")
     for algorithm in ("uzawa", "mixed-uzawa-wang", "slimane"):
         yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6", beside={"violation"})
-    for case in ("example2", "friction", "sphere"):
-        yield solved(case, *STRUCTURED, "--backend", "mixed", h="1/2")
+    yield from (solved(case, *STRUCTURED, "--backend", "mixed", h="1/2") for case in ("example2", "friction", "sphere"))
     for case, h in (("transition3d", "1/3"), ("regulator", "1/8"), ("sphere", "1/2"), ("phases", "1/8")):
         yield solved(case, "--element", "RT1", *STRUCTURED, h=h, beside=PATH)
     yield solved("fault", "--element", "RT1", beside=PATH)

@@ -8,6 +8,7 @@ from pathlib import Path
 import dolfinx
 import numpy as np
 import pytest
+from bodies_apart import joined, two
 from commands import read_rows
 from in_time import run, run_in_two
 from makers.bounds import difference
@@ -21,8 +22,11 @@ from signorini_fenicsx import (
     Neumann,
     NumericalFailure,
     Options,
+    Pair,
     River,
     Seepage,
+    Tied,
+    TwoSided,
     domain_of,
     evolve,
     evolve_case,
@@ -232,6 +236,22 @@ def test_the_pressure_form_has_the_water_of_the_head_form(element: str):
         found.append({key: last.numbers[key] for key in ("content", "inflow")})
         assert last.numbers["mass_error"] < 1e-11
     assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def test_bodies_with_meshes_of_their_own():
+    """A tied pair of bodies with the same facets stores and moves the water of one body; with other facets near it."""
+    soil, held = VanGenuchten(1.0, 2.0, 1.8, 0.05, 0.4), [Neumann("u11", 0.1), Dirichlet("l10", 0.3)]
+    sides, pair = Neumann([f"{body}0{end}" for body in "ul" for end in (0, 1)]), Pair("u10", "l11", Tied())
+    same, other = (two(COMM, *shapes) for shapes in (((3, 2), (3, 2)), ((3, 2), (2, 3))))
+    whole = joined((3, 2)), [Neumann(["x0", "x1"]), TwoSided("u10", psi_upper=0)]
+    found = []
+    for domain, conditions in (whole, (same, [sides, pair]), (other, [sides, pair])):
+        problem = Diffusion(kappa=soil, f=0, conditions=[*held, *conditions])
+        *_, last = evolve(domain, problem, Evolution(end=0.4, steps=2, initial=0.3), Options(element="RT1"))
+        assert last.numbers["mass_error"] < 1e-11
+        found.append([last.numbers["content"], last.numbers["inflow"]])
+    assert found[1] == pytest.approx(found[0], rel=1e-8)
+    assert found[2] == pytest.approx(found[0], rel=0.05)
 
 
 @pytest.mark.parametrize(("least", "parts"), [(15.0, 4), (np.inf, 0)])
