@@ -104,7 +104,8 @@ def test_celias_infiltration():
 
 CLAY, SAND = VanGenuchten(0.048, 0.8, 1.09, 0.068, 0.38), VanGenuchten(7.128, 14.5, 2.68, 0.045, 0.43)
 ON_TOP = {
-    "rain on clay": (CLAY, Neumann("top", 0.024), Dirichlet("bottom", 0), "0", 0.625, 3, 24),
+    "rain on clay": (CLAY, Neumann("top", 0.024), Dirichlet("bottom", 0), "0", 0.625, 3, 18),
+    "standing on clay": (CLAY, Dirichlet("top", 1.05), Dirichlet("bottom", -10), "y - 10", 0.3125, 3, 20),
     "a jump": (SAND, Neumann("top", 0), Dirichlet("bottom", 0), "1", 0.2, 2, 6),
     "standing water": (SAND, Dirichlet("top", 1), Dirichlet("bottom", -10), "y - 10", 0.0014, 1, 24),
 }

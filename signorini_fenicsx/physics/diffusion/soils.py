@@ -25,6 +25,8 @@ TINY = 1e-14
 
 STEEP = 1.3
 """Below this n of van Genuchten k_r falls below 0.7 within α|ψ| = 0.003, if there is no air entry."""
+STEEPEST = 1.2
+"""Below this n κ of a cell is taken upstream in time: for 1.09 Newton's method finds no solution with the mean."""
 BISECTIONS = 30
 """How often a step of Newton's method is halved to find how far it goes."""
 FARTHEST = 3.0
@@ -106,6 +108,11 @@ class Soil(ABC):
         """Whether k_r falls by tenths within a hair of saturation."""
         return False
 
+    @property
+    def goes_upstream(self) -> bool:
+        """Whether it is so steep that κ of a cell in time has to be taken upstream, as far as gravity asks for it."""
+        return self.is_steep and self.n is not None and self.n < STEEPEST
+
     @abstractmethod
     def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:
         """k_r, its derivative, S and its derivative by α|ψ| > 0, without an air entry."""
@@ -128,6 +135,10 @@ class Soil(ABC):
         """κ and its derivative by u, in points whose coordinates are the last axis."""
         k, slope, _, _ = self._relative(u - x[..., -1])
         return self.K * k, self.K * slope
+
+    def slope_below(self, psi: Array) -> Array:
+        """The derivative of κ by ψ; of saturated soil that just below saturation, so that it does not jump there."""
+        return np.asarray(self.K * self._relative(np.minimum(psi, -self.air_entry - 2 * TINY / self.alpha))[1])
 
     def content(self, x: Array, u: Array) -> tuple[Array, Array]:
         """The water in a unit volume, θ + S_s ψ, and its derivative by u."""

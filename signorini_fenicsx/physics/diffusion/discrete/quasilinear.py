@@ -1,7 +1,8 @@
 """κ(x, u) on a mesh: the κ of each cell from û on its facets, and how it changes with û.
 
-The κ of a cell with RT0 is the mean of κ(x, û) over its facets, with x the midpoint of each; with RT1 it is linear on a
-cell, at a vertex the mean over the facets there. From u_T instead fewer soils would have a solution that is found.
+The κ of a cell with RT0 is the mean of κ(x, û) over its facets, with x the midpoint of each, in time where the slope
+of κ asks for it one nearer to what is upstream; with RT1 it is linear on a cell, at a vertex the mean over the facets
+there. From u_T instead fewer soils would have a solution that is found.
 """
 
 import inspect
@@ -113,8 +114,31 @@ class Quasilinear:
         Args:
             traces: The values of û less the constant on the facets of the owned cells, shape (cells, n).
         """
-        shares, (value, slope) = self._places[1], self._at(traces)
-        return value @ shares.T, shares * slope[:, None]
+        value, slope = self._at(traces)
+        shares = self._shares(traces, value)
+        return np.einsum("cvn,cn->cv", shares, value), shares * slope[:, None]
+
+    def _shares(self, traces: Array, value: Array) -> Array:
+        """The shares in κ of the values of κ where û is looked at, shape (1 or cells, values, n).
+
+        In time cells of soils that are steepest at saturation have them from `_upstream`.
+        """
+        (x, shares), steep = self._places, [each for each in self.soils if each[1].goes_upstream]
+        if self.storing is None or self.spaces.degree or not steep:
+            return shares[None]
+        found, heads = np.repeat(shares[None], len(value), axis=0), self.head(x, traces + self.constant)
+        for inside, soil in steep:
+            slope = soil.slope_below(heads[inside] - x[inside][..., -1])
+            found[inside, 0] = _upstream(self._gradients[inside], heads[inside], value[inside], slope)
+        return found
+
+    @cached_property
+    def _gradients(self) -> Array:
+        """∇φ_i of the functions φ_i on each cell that are 1 on a facet, and have the mean 0 on the others."""
+        vertices = corners(self.spaces.mesh)
+        inner = np.linalg.inv(vertices[:, 1:] - vertices[:, :1]).transpose(0, 2, 1)
+        dim = self.spaces.mesh.topology.dim
+        return dim * np.concatenate([inner.sum(axis=1, keepdims=True), -inner], axis=1)
 
     def by_controls(self, traces: Array) -> Iterator[tuple[Any, Array]]:
         """Each Constant in a soil, and the derivative of κ of the owned cells by it; of RT0 (collective)."""
@@ -219,7 +243,8 @@ class Quasilinear:
         """Slopes in the place of the derivatives: what κ changes along a step of û, divided by that."""
         (value, slope), (moved, _) = self._at(traces), self._at(traces + step)
         far = np.abs(step) > CLOSE * np.abs(traces + self.constant)
-        return self._places[1] * np.where(far, (moved - value) / np.where(far, step, 1.0), slope)[:, None]
+        shares = self._shares(traces, value)
+        return shares * np.where(far, (moved - value) / np.where(far, step, 1.0), slope)[:, None]
 
     def _at(self, traces: Array) -> tuple[Array, Array]:
         """κ and its derivative where û is looked at."""
@@ -260,6 +285,32 @@ class Quasilinear:
     def first(self) -> Array:
         """κ to begin with: of saturated soil, elsewhere that for u in the middle of its ends."""
         return np.asarray(self._first @ self._places[1].T)
+
+
+def _upstream(gradients: Array, heads: Array, kappa: Array, slope: Array) -> Array:
+    """The shares of facets in the κ of cells, so that what enters a cell does not grow where its outflow gets wetter.
+
+    σ = κ∇h would do so if κ were the mean and grew faster with h downstream than ∇h falls: next to saturation, where
+    gravity moves the water. Then κ goes up and down from facet to facet. So the mean of all facets has a share of at
+    most d + 1 by d of κ_m F/(κ' |∇h|²) with the mean κ_m, the flux F = Σ (∇φ_i·∇h)_+ and the mean slope κ' downstream;
+    the facets through which water enters, as much as does, have the rest. In 1D that is 2 by the Péclet number of the
+    cell, and the derivative of its flux by what is downstream vanishes.
+
+    Args:
+        gradients: ∇φ_i, shape (cells, n, dim).
+        heads: The head on the facets, shape (cells, n).
+        kappa: κ there.
+        slope: Its derivative by the head.
+    """
+    n, driving = kappa.shape[1], np.einsum("cn,cnd->cd", heads, gradients)
+    flow = np.einsum("cnd,cd->cn", gradients, driving)
+    enters, leaves = np.maximum(flow, 0.0), np.maximum(-flow, 0.0)
+    whole = enters.sum(axis=1)
+    unit = np.where(whole > 0, whole, 1.0)
+    steep = (leaves * slope).sum(axis=1) / unit * (driving**2).sum(axis=1)
+    mean = n / (n - 1) * kappa.mean(axis=1) * whole
+    mean = np.where(steep > mean, mean / np.where(steep > 0, steep, 1.0), 1.0)[:, None]
+    return np.asarray(mean / n + (1 - mean) * enters / unit[:, None])
 
 
 def depends_on_u(kappa: Any) -> bool:
