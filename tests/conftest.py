@@ -4,7 +4,7 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,7 +17,6 @@ from signorini_fenicsx.base.parallel import collect_garbage
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes compiles the package: half a second
 
-USUAL_RANKS = 3
 LAUNCHES = pytest.StashKey[Launches]()
 COLLECTED = pytest.StashKey[float]()
 MODULES = pytest.StashKey[int]()
@@ -34,20 +33,15 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark tests for several numbers of ranks as slow, except with one of them.
 
-    A test for one rank as well runs on one: that ranks do not matter is proved by `test_capabilities.py`. Others run
-    with the largest number up to USUAL_RANKS.
+    A test for one rank as well runs on one: that ranks do not matter is proved by `test_capabilities.py`. Others run on
+    the smallest number: three ranks on two cores wait for one another in each reduction.
     """
     for item in items:
         marker = item.get_closest_marker("parallel")
         if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
             ranks = item.callspec.params.get("_nprocs")
-            if ranks is not None and ranks != usual_ranks(marker.args[0]):
+            if ranks is not None and ranks != min(marker.args[0]):
                 item.add_marker(pytest.mark.slow)
-
-
-def usual_ranks(numbers: Sequence[int]) -> int:
-    """The number of ranks, of several, with which a test is not slow."""
-    return 1 if 1 in numbers else max(number for number in numbers if number <= USUAL_RANKS)
 
 
 @pytest.hookimpl(tryfirst=True)

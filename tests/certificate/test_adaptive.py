@@ -92,7 +92,7 @@ def test_masters_are_refined_with_slaves(lower: int, opposite: list[float]) -> N
     assert np.allclose(found, opposite, atol=0.1)
 
 
-@pytest.mark.parallel([3])
+@pytest.mark.parallel([2, 3])
 def test_refinement_does_not_depend_on_the_ranks():
     """The cells are the same on any number of ranks, also where edges have equal length."""
     for shape, mesh, h in [

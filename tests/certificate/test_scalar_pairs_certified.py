@@ -170,7 +170,7 @@ def test_derivatives() -> None:
         assert derivative == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-5)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 def test_several_ranks() -> None:
     """The bound is that of one rank if both sides of a pair are on one of them; else the reason is told."""
     cases = [("tied", 2), ("contact", 2), ("friction", 2), ("tied", 3)]

@@ -91,7 +91,7 @@ def test_children():
             assert np.all(shape.parts[part].contains(domain.mesh.geometry.x[vertices.ravel()].T))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 @pytest.mark.parametrize(("shape", "h"), [("half_disk", 0.0131), ("cube", 0.1)])
 def test_large_meshes_are_refined_ones(shape: str, h: float):
     domain = build_domain(COMM, shape, h, mesh="unstructured")
@@ -118,7 +118,7 @@ def test_geometries_from_files(tmp_path: Path):
     assert len(points) >= 1 / h
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 @pytest.mark.parametrize("shape", ["lshape", "cube"])
 def test_parents(shape: str):
     """Each node is in the middle between its parents, or is the only one of them."""
@@ -132,7 +132,7 @@ def test_parents(shape: str):
     assert kept == coarse.index_map().size_global
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 def test_rows_of_other_ranks():
     """Ranks that have no row, and rows that several ranks have marked."""
     own = None if COMM.rank == 0 and COMM.size > 1 else np.arange(10.0).reshape(5, 2) + 100 * COMM.rank
@@ -150,7 +150,7 @@ def test_rows_of_other_ranks():
     np.testing.assert_array_equal(order.places(numbers), np.searchsorted(everything, numbers))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 def test_structured_meshes_are_made_where_they_live():
     for shape, h in (("lshape", 0.1), ("lprism", 0.5)):
         assert measure(corners(build_domain(COMM, shape, h, mesh="structured"))) == pytest.approx(3, rel=1e-12)

@@ -31,7 +31,7 @@ def kept(case: Case, comm: MPI.Comm, folder: Path) -> Solution:
     return solution
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 def test_read_on_any_number_of_ranks(folder: Path):
     """One rank reads what all ranks write, and the reverse: equal up to rounding and with the same residuals."""
     for name, values in [

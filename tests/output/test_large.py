@@ -25,7 +25,7 @@ from signorini_fenicsx.pictures.scene import gathered_scene
 COMM = MPI.COMM_WORLD
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 @pytest.mark.parametrize(("name", "table", "column"), [("example1", "facets", "p"), ("hertz", "contact", "gap")])
 def test_tables_of_the_ranks_are_the_table(folder: Path, name: str, table: str, column: str):
     """With a table per rank they have together the rows of the one table."""

@@ -242,7 +242,7 @@ def _volume(fields: DrawnFields) -> float:
     return float(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / math.factorial(corners.shape[2]))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel([2, 3])
 def test_boundary_is_the_same_on_all_ranks():
     case = load_case("example2").with_values({"solve.h": 0.5})
     both, one = (gathered_scene(solve_case(case, comm)) for comm in (COMM, MPI.COMM_SELF))
