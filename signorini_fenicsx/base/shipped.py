@@ -35,6 +35,8 @@ def file_of(kind: str, name_or_path: str | Path) -> Path:
     if text.endswith(".toml") or "/" in text:
         return Path(text)
     folder, names = {"case": ("cases", case_names()), "study": ("studies", study_names())}[kind]
+    if text not in names and Path(text).is_file():
+        raise InputError(f"{text}: is no {kind}, a .toml file; `signorini init my-case.toml --mesh {text}` begins one")
     if text not in names:
         meant = did_you_mean(text, names)
         raise InputError(f"unknown {kind} '{text}'; use one of {', '.join(names)} or the path of a .toml file{meant}")

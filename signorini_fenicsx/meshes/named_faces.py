@@ -11,7 +11,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 
 type Rule = str | tuple[str, ...]
-"""Such as "z min", "x = 0.5", or the names of parts."""
+"""Such as "z min", "x = 0.5", or several of these and of the names of parts."""
 PLACE = re.compile(r"\s*([xyz])\s*(?:(min|max)|=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?))\s*")
 ON = 1e-9
 """A vertex is on a plane up to this share of the size of the mesh."""
@@ -27,7 +27,7 @@ def check_rule(rule: object) -> Rule:
         return rule
     if isinstance(rule, list | tuple) and rule and all(isinstance(part, str) for part in rule):
         return tuple(rule)
-    raise ValueError("must be such as 'z min', 'x max' or 'y = 0.5', or a list of parts")
+    raise ValueError("must be such as 'z min', 'x max' or 'y = 0.5', or a list of these and of parts")
 
 
 def named(mesh: FileMesh, rules: Mapping[str, Rule], path: str) -> FileMesh:
@@ -46,16 +46,21 @@ def _found(mesh: FileMesh, name: str, rule: Rule) -> Indices:
     """The facets of a rule, as ascending vertices."""
     if name in mesh.parts:
         raise InputError(f"'{name}' is a part of the file already; choose another name")
-    if isinstance(rule, str):
-        every, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
-        found = every[(times == 1) & _on_plane(mesh.points, rule)[every].all(axis=1)]
-        if len(found) == 0:
-            raise InputError(f"{name}: no facet of the boundary is at {rule}")
-        return found
-    for part in rule:
-        if part not in mesh.parts:
-            raise InputError(f"{name}: unknown part '{part}'; there are {', '.join(mesh.parts) or 'none'}")
-    return np.unique(np.concatenate([mesh.parts[part] for part in rule]), axis=0)
+    rules = (rule,) if isinstance(rule, str) else rule
+    return np.unique(np.concatenate([_of_one(mesh, name, each) for each in rules]), axis=0)
+
+
+def _of_one(mesh: FileMesh, name: str, rule: str) -> Indices:
+    """The facets of a part, or on a plane."""
+    if rule in mesh.parts:
+        return mesh.parts[rule]
+    if PLACE.fullmatch(rule) is None:
+        raise InputError(f"{name}: unknown part '{rule}'; there are {', '.join(mesh.parts) or 'none'}")
+    every, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
+    found = every[(times == 1) & _on_plane(mesh.points, rule)[every].all(axis=1)]
+    if len(found) == 0:
+        raise InputError(f"{name}: no facet of the boundary is at {rule}")
+    return found
 
 
 def _on_plane(points: Array, rule: str) -> Mask:

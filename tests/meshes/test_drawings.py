@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from commands import signorini
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import MeshFile
@@ -114,8 +116,16 @@ def test_wrong_faces(plate: Path, rules: dict[str, Rule], words: str):
 def test_no_z_in_the_plane():
     flat = FileMesh(np.eye(3, 2), np.arange(3)[None], {}, {})
     assert len(named(flat, {"a": "y min"}, "flat.msh").parts["a"]) == 1
+    both = named(flat, {"a": ("y min", "x min")}, "flat.msh").parts
+    assert len(named(replace(flat, parts=both), {"b": ("a", "y min")}, "flat.msh").parts["b"]) == 2
     with pytest.raises(InputError, match=r"mesh flat.msh: \[geometry\] faces: a mesh in the plane has no z"):
         named(flat, {"a": "z min"}, "flat.msh")
+
+
+def test_a_drawing_is_no_case(plate: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(plate)
+    with pytest.raises(InputError, match=r"plate.brep: is no case, a .toml file; `signorini init my-case.toml --mesh"):
+        load_case("plate.brep")
 
 
 def test_a_case_with_a_drawing(plate: Path):
@@ -126,7 +136,10 @@ def test_a_case_with_a_drawing(plate: Path):
     (plate / "wrong.toml").write_text(CASE.replace("x min", "x mid"))
     wrong = signorini(plate, "solve", "wrong.toml")
     assert wrong.returncode == 2
-    assert "[geometry] faces.held: must be such as 'z min', 'x max' or 'y = 0.5', or a list of parts" in wrong.stderr
+    assert (
+        "[geometry] faces.held: must be such as 'z min', 'x max' or 'y = 0.5', or a list of these and of parts"
+        in wrong.stderr
+    )
 
 
 def test_sizes_at_a_face(plate: Path):
