@@ -2,12 +2,34 @@
 
 import contextlib
 from collections.abc import Iterator
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
+
+WORDS = {
+    **dict.fromkeys(("E", "E_modulus", "youngs_modulus"), "young"),
+    **dict.fromkeys(("nu", "poissons_ratio"), "poisson viscosity"),
+    **dict.fromkeys(("mu", "eta"), "viscosity mu"),
+    **dict.fromkeys(("k", "conductivity", "permeability", "diffusivity", "D", "lambda"), "kappa K"),
+    **dict.fromkeys(("Ks", "K_s", "k_s", "Ksat"), "K"),
+    **dict.fromkeys(("porosity", "thetas"), "theta_s"),
+    **dict.fromkeys(("source", "body_force", "load", "gravity"), "f"),
+    **dict.fromkeys(("traction", "tractions", "flux", "heat_flux", "neumann"), "g_N"),
+    **dict.fromkeys(("dirichlet", "displacement", "temperature", "velocity"), "u_D"),
+    **dict.fromkeys(("u0", "u_0", "initial_condition"), "initial"),
+    **dict.fromkeys(("dt", "time_step", "n_steps"), "steps"),
+    **dict.fromkeys(("t_end", "T", "end_time", "final_time"), "end"),
+    **dict.fromkeys(("symmetry", "roller", "rollers"), "fixed"),
+    **{"signorini": "contact", "contact": "signorini", "fixed": "dirichlet", "friction": "law"},
+    **dict.fromkeys(("mesh_size", "element_size"), "h"),
+}
+"""What others call a key, with the keys that may be meant."""
+VALUES = {"neumann": "g_N", "dirichlet": "u_D", "signorini": "psi", "contact": "gap"}
+"""The data of the parts in a list of `[boundary]`."""
+FIXED = 'such as {left = "x"}, with the components, letters of xyz, or "n" or "t"'
 
 
 def complaint(error: ValidationError, root: type[BaseModel], section: str = "", of: str = "") -> str:
@@ -30,9 +52,7 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "", 
     match first["type"]:
         case "extra_forbidden":
             keys = _known_keys(root, sections[len(above) :], last)
-            others = [name for name in root.model_fields if not owner and last in _section(root, name).model_fields]
-            hint = f"; '{last}' is a key of [{others[0]}]" if others else ""
-            return f"unknown key '{last}'{owner}; known are {keys}{hint}"
+            return f"unknown key '{last}'{owner}; known are {keys}{'' if 'did you' in keys else _elsewhere(root, last)}"
         case "missing":
             return f"missing {'key' if owner else 'section or key'} '{last}'{owner}"
         case "model_type" | "model_attributes_type":
@@ -43,19 +63,45 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "", 
             where = f"{place}:" if owner else f"[{last}]"
             return f"{where} {message}" if last else message
         case "dict_type":
-            return f"{place}: must be a table, {{name = value}}, not {shown(first['input'])}"
+            table = FIXED if place == "[boundary] fixed" else "{name = value}"
+            return f"{place}: must be a table, {table}, not {shown(first['input'])}"
+        case "list_type":
+            what, hint = _list_of(root, sections, last)
+            return f"{place}: must be {what}, not {shown(first['input'])}{hint}"
+        case "int_from_float":
+            return f"{place}: must be a whole number, not {shown(first['input'])}"
         case "string_type":
             return f"{place}: must be a text, not {shown(first['input'])}"
         case "too_short":
             return f"{place}: must not be empty"
-    message = first["msg"][0].lower() + first["msg"][1:]
+    message = (first["msg"][0].lower() + first["msg"][1:]).replace("input should be", "must be")
     return f"{place}: {message}, not {shown(first['input'])}"
 
 
+def _list_of(root: type[BaseModel], sections: list[str], last: str) -> tuple[str, str]:
+    """What a list is of, in words: sections, parts of the boundary, or values; and what else there is to say."""
+    if not sections and _section(root, last) is not BaseModel:
+        return f"a section with two brackets, [[{last}]], of which there may be several", ""
+    if sections != ["boundary"]:
+        return "a list, in square brackets", ""
+    values = f"; their values are in [problem] {VALUES[last]}" if last in VALUES else ""
+    return 'a list of parts such as ["left", "top"]', f"{values}; without a list dirichlet all other parts are in that"
+
+
+def _elsewhere(root: type[BaseModel], wrong: str) -> str:
+    """The section that has a key, or what else it is called there; empty if none has."""
+    for key in (wrong, *WORDS.get(wrong, "").split()):
+        for name in root.model_fields:
+            if key in keys_of(_section(root, name)):
+                several = get_origin(root.model_fields[name].annotation) is list
+                return f"; '{key}' is a key of {f'[[{name}]]' if several else f'[{name}]'}"
+    return ""
+
+
 def shown(value: object) -> str:
-    """A value as Python writes it, in at most 60 characters."""
+    """A value as Python writes it, but for true and false, in at most 60 characters."""
     try:
-        text = repr(value)
+        text = str(value).lower() if isinstance(value, bool) else repr(value)
     except (ValueError, RecursionError):  # integers of many digits, deep lists
         text = f"this {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."
@@ -87,7 +133,8 @@ def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
         if section in model.model_fields:  # else which one of a list or table of sections it is
             model = _section(model, section)
     keys = keys_of(model)
-    return ", ".join(keys) + did_you_mean(wrong, keys)
+    meant = WORDS.get(wrong, wrong).split()
+    return ", ".join(keys) + next((hint for each in meant if (hint := did_you_mean(each, keys))), "")
 
 
 def _section(model: type[BaseModel], name: str) -> type[BaseModel]:

@@ -81,7 +81,8 @@ class Named:
         left = [part for part in known if part not in self.listed()]
         if "dirichlet" in self.named and left:
             *others, last = self.kinds
-            raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
+            free = ["; without a load it is in neumann"] * ("neumann" in self.kinds)
+            raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}{''.join(free)}")
 
 
 class PartLists(Section):

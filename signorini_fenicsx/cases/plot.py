@@ -74,8 +74,18 @@ class Plot(Section):
         return with_unit(name, "" if axis == "angle" else self.time_unit if axis == "t" else self.length_unit)
 
     def over_facets(self, unit: str, dim: int) -> str:
-        """The unit of what is summed up over facets, such as a force; empty where one of both has none."""
-        return f"{unit} {self.length_unit}{'²' * (dim == 3)}" if unit and self.length_unit else ""
+        """The unit of what is summed up over facets, such as a force; empty where one of both has none.
+
+        Of m/s it is m²/s, in space m³/s, and of W/m² it is W/m, in space W.
+        """
+        length, power = self.length_unit, dim - 1
+        if not unit or not length:
+            return ""
+        if unit.startswith(f"{length}/"):
+            return f"{length}{'²³'[power - 1]}/{unit.removeprefix(f'{length}/')}"
+        if unit.endswith(f"/{length}²"):
+            return unit.removesuffix(f"/{length}²") + f"/{length}" * (power == 1)
+        return f"{unit} {length}{'²' * (power == 2)}"
 
 
 UNNAMED = Plot()

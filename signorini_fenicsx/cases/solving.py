@@ -92,7 +92,12 @@ def check_quantities_of(case: CaseFile, domain: Domain, posed: Any) -> None:
         InputError: If something is no quantity, or a probe or section is outside the domain.
     """
     check_places(domain, case.probe, case.section)
-    check_quantities(domain, posed, [each.made() for each in case.quantity])
+    for each in case.quantity:
+        try:
+            check_quantities(domain, posed, [each.made()])
+        except InputError as error:
+            error.args = (f"[[quantity]] {each.name}: {error}",)
+            raise
 
 
 def check_named(case: CaseFile, name: str | None) -> None:

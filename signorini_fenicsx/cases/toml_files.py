@@ -7,6 +7,7 @@ from typing import Any
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reading import text_of
+from signorini_fenicsx.cases.complaints import shown
 
 MAX_DOTS = 500
 """Most dots of a dotted key; Python's time for a key grows with the square of this number."""
@@ -27,7 +28,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"at line (\d+)", str(error))
+        line = "" if place is None else f": {shown(text.splitlines()[int(place[1]) - 1].strip())}"
+        hint = '; texts are in quotation marks, such as f = "sin(x)"' if "Invalid value" in str(error) else ""
+        raise InputError(f"{path}: not a TOML file: {error}{line}{hint}") from None
+    except (UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not a TOML file: {error}") from None
     except ValueError:  # Python reads at most 4300 digits
         raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None

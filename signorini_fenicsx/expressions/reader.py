@@ -4,6 +4,7 @@ import ast
 import contextlib
 import functools
 import math
+import re
 import warnings
 from collections.abc import Collection, Iterator
 from decimal import Decimal
@@ -35,6 +36,8 @@ MAX_LENGTH = 2000
 MAX_DEPTH = 150
 """Most terms of a sum, nested brackets or joined conditions for which UFL and FFCx do not run out of stack."""
 
+ALLOWED = "it may have numbers with a point, + - * / **, functions such as sin(x), and 1 if x > 0 else 2"
+"""What may be in an expression, in words."""
 PI = Number(math.pi, math.pi, math.nextafter(math.pi, math.inf))
 _OPERATORS: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "^"}
 _COMPARISONS: dict[type[ast.cmpop], str] = {
@@ -95,7 +98,7 @@ class _Reader:
                 return Conditional(self.condition(test), self.value(body)[0], self.value(orelse)[0]), None
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self.call(name, arguments)
-        raise InputError(f"'{ast.unparse(node)}' is not allowed in an expression")
+        raise InputError(f"'{ast.unparse(node)}' is not allowed in an expression; {ALLOWED}")
 
     def number(self, node: ast.Constant) -> Number:
         """A literal, enclosed by floats, because its decimal digits need not be a float."""
@@ -192,7 +195,8 @@ def read(text: str, names: Collection[str]) -> Tree:
     with _complaints(text, names):
         (tree, _), found = _read(text)
         if unknown := [name for name in found if name not in set(names)]:  # of a text its letters, not its pieces
-            raise InputError(f"unknown name '{unknown[0]}'; known are {', '.join(['pi', *names])}")
+            time = "; t is the time of a case with [time]" if unknown[0] == "t" else ""
+            raise InputError(f"unknown name '{unknown[0]}'; known are {', '.join(['pi', *names])}{time}")
         return tree
 
 
@@ -206,7 +210,8 @@ def _complaints(text: str, names: Collection[str]) -> Iterator[None]:
     except SyntaxError as error:
         words = ", ".join(["pi", *names])
         what = f"expression '{_shortened(text)}' is not arithmetic in {words}"
-        raise InputError(f"{what}: {_unbalanced(text) or _wrong_at(text, error)}") from None
+        hint = f"; {ALLOWED}" if re.search(r"\?|\bif\b|\bthen\b|&|\|", text) else ""
+        raise InputError(f"{what}: {_unbalanced(text) or _wrong_at(text, error)}{hint}") from None
     except (ArithmeticError, ValueError) as error:
         raise InputError(f"expression '{_shortened(text)}' cannot be evaluated: {error}") from None
     except (RecursionError, MemoryError):

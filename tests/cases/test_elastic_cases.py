@@ -148,7 +148,7 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ("[0, -0.1]", "1", "[problem] f: must be a list with an expression for each component, such as"),
         ("[0, -0.1]", "[0, [1]]", "[problem] f: must be a list with an expression for each component"),
         ("u_D", "g_N = {right = 1}\nu_D", "[problem] g_N: must be a list with an expression for each component"),
-        ('gap = "', 'gap = true # "', "[problem] gap: must be an expression, not True"),
+        ('gap = "', 'gap = true # "', "[problem] gap: must be an expression, not true"),
         ("[0, -0.1]", '[0, "z"]', "[problem] f: "),
         ("u_D", "pressure = {right = [0, 1]}\nu_D", "[problem] pressure: must be an expression, not [0, 1]"),
         ('gap = "', 'gap = "log(x - 2)" # "', "[problem] gap: not finite everywhere on part 'bottom'"),

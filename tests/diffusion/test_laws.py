@@ -269,6 +269,9 @@ def test_what_methods_refuse(folder: Path):
     assert solve_case(case.with_values({"problem.f": "3 + sin(9*x)*cos(3*y)"})).converged
     with pytest.raises(InputError, match="no part of the boundary is left for u = u_D"):
         solve_case(case.with_values({"law": [], "boundary.neumann": ["bottom", "left", "top", "right"]}))
+    water = {"law": [{"parts": ["bottom", "left", "top", "right"], "kind": "seepage", "level": "y"}], "problem.f": 0}
+    with pytest.raises(InputError, match="part of the boundary to Γ_D, such as what is under water: a seepage face"):
+        solve_case(case.with_values(water))
     with pytest.raises(InputError, match=r"law.0.g: the case has no \[\[law\]\]"):
         load_case("example1").with_values({"law.0.g": 1})
     with pytest.raises(InputError, match=r"law.1.g: there is no number 1"):

@@ -84,7 +84,7 @@ def with_trace(domain: Domain, problem: Problem, parts: Sequence[str], weight: G
     for part in parts:
         check_part(domain, boundary, part)
         if part in boundary.neumann:
-            raise InputError(f"the flux through the part '{part}' is given")
+            raise InputError(f"the flux through the part '{part}' is given, as it is in neumann")
         if part in boundary.signorini:
             problem = _with_law(boundary, problem, part, lambda law: moved(domain, law, weight, 0.0, amount))
         else:

@@ -22,11 +22,14 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.contact.floating import Floating
+from signorini_fenicsx.contact.laws import Seepage
 from signorini_fenicsx.discrete.bodies import opposite_bodies, without
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
+OF_WATER = ", such as what is under water: a seepage face lets water only out"
+"""What is said besides of groundwater."""
 ROUNDING = 1e-12
 """Share of the loads that is rounding in their sum."""
 
@@ -107,6 +110,7 @@ def _refuse_all(data: Data) -> None:
         raise InputError(
             "no part of the boundary is left for u = u_D, and ∫f + ∫g_N plus the flux that the laws allow is between "
             f"{lowest:.3g} and {highest:.3g}: {verdict}; 0 must be in between, or leave part of the boundary to Γ_D"
+            f"{OF_WATER if any(isinstance(part.law, Seepage) for part in data.laws.of_parts) else ''}"
         )
     raise InputError(
         "no part of the boundary is left for u = u_D, and the total load ∫f + ∫g_N + ∫q_S is "
