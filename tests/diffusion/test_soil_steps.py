@@ -1,4 +1,4 @@
-"""Water in soil over time: storage and its balance, published and exact columns, levels in t, restarts, ranks."""
+"""Water in soil over time: storage, balance, published and exact columns, RT1, pairs, levels in t, restarts, ranks."""
 
 import itertools
 import math
