@@ -69,12 +69,16 @@ class Cost:
         memory: Bytes.
         solver_rate: Facets per second and core from the assembled problem to the solution.
         run_rate: Facets per second and core of a whole run, with a structured mesh.
+        times: So many times as long takes what is not linear.
+        least: Seconds that it takes at least.
     """
 
     unknowns: int
     memory: float
     solver_rate: float
     run_rate: float
+    times: float = 1.0
+    least: float = 0.0
 
 
 class CaseFile(Section):

@@ -132,6 +132,8 @@ def expected(case: CaseFile, ranks: int) -> Expected:
     cost, steps = case.costs[dim], max(case.steps, 1)
     searched = sum(each.kind not in AT_ONCE for each in case.quantity)
     runs = 1 + searched * (OF_INTERVAL + OF_LATER_INTERVAL * (steps - 1))
+    of_linear = facets / cost.solver_rate / ranks
+    solver_seconds = steps * (cost.times * of_linear + cost.least)
     return Expected(
         dim=dim,
         parts=parts,
@@ -142,8 +144,8 @@ def expected(case: CaseFile, ranks: int) -> Expected:
         unknowns=cost.unknowns * facets,
         exact=exact,
         memory=ranks * PROCESS_BYTES + cost.memory * facets,
-        solver_seconds=steps * facets / cost.solver_rate / ranks,
-        run_seconds=START_SECONDS + facets * (runs / cost.run_rate + (steps - 1) / cost.solver_rate) / ranks,
+        solver_seconds=solver_seconds,
+        run_seconds=START_SECONDS + facets * runs / cost.run_rate / ranks + solver_seconds - of_linear,
     )
 
 

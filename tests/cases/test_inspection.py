@@ -44,6 +44,7 @@ def test_sizes_are_those_of_the_mesh():
     few, many = (expected(load_case("membrane").with_values({"time.steps": steps}), 1) for steps in (1, 80))
     assert many.solver_seconds == pytest.approx(80 * few.solver_seconds)
     assert many.run_seconds > few.run_seconds
+    assert 5 < expected(load_case("celia"), 1).solver_seconds < 20
     kinds = ([], ["energy"], ["mean", "integral"])
     of = [[{"name": kind, "kind": kind} for kind in each] for each in kinds]
     seconds = [expected(load_case("cube").with_values({"quantity": each}), 1).run_seconds for each in of]

@@ -36,6 +36,9 @@ COSTS = {
 """Of diffusion by alg1 to alg4 with the hybrid backend, by element; of RT0 on at least 395 000 facets, see
 docs/measured/speed.md, of RT1 on 170 000 to 200 000 facets, where seconds are an order of magnitude."""
 
+OF_U = (85.0, 0.3), (15.0, 0.3)
+"""`Cost.times` and `least` where κ depends on u, of `earth_dam` on 29 000 facets, and in time of `celia`."""
+
 type CapacityText = str | dict[str, Any]
 
 
@@ -220,7 +223,16 @@ class Case(WithPairs):
     @property
     def costs(self) -> Mapping[int, Cost]:
         """What it costs to solve it with its element, by dimension."""
-        return COSTS[self.solve.element or ELEMENTS[bool(self.pair)]]
+        costs = COSTS[self.solve.element or ELEMENTS[bool(self.pair)]]
+        if not self._of_u:
+            return costs
+        times, least = OF_U[self.time is not None]
+        return {dim: replace(cost, times=times, least=least) for dim, cost in costs.items()}
+
+    @property
+    def _of_u(self) -> bool:
+        """Whether κ depends on u."""
+        return bool(self.soil) or depends_on_u(parsed(self.problem.kappa, "xyztu", "[problem] kappa"))
 
     @property
     def _stores(self) -> bool:
@@ -247,7 +259,7 @@ class Case(WithPairs):
             return "the proof is for one mesh, without pairs"
         if self.solve.element == "RT1":
             return "the proof is for RT0 alone; leave out the element"
-        if self.soil or depends_on_u(parsed(self.problem.kappa, "xyztu", "[problem] kappa")):
+        if self._of_u:
             return "the proof is for a κ that does not depend on u"
         if self.law or self.problem.by_part:
             return "the proof is for the law of Signorini alone, without [[law]] and data by part"
