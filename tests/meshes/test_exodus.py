@@ -74,6 +74,11 @@ def places(path: Path, points: Any, blocks: list[tuple[str, Any]], sides: dict[s
             [*CORNER, *[[x, y, 1] for x, y, _ in CORNER]],
             [(0.5, 0, 0.5), (0.5, 0.5, 0.5), (0, 0.5, 0.5), (1 / 3, 1 / 3, 0), (1 / 3, 1 / 3, 1)],
         ),
+        (
+            "PYRAMID5",
+            [*SQUARE, [0.5, 0.5, 1]],
+            [(0.5, 1 / 6, 1 / 3), (5 / 6, 0.5, 1 / 3), (0.5, 5 / 6, 1 / 3), (1 / 6, 0.5, 1 / 3), (0.5, 0.5, 0)],
+        ),
         ("SHELL4", SQUARE, [None, None, (0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)]),
         ("TRI", CORNER, [None, None, (0.5, 0), (0.5, 0.5), (0, 0.5)]),
     ],
