@@ -7,6 +7,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
@@ -30,6 +31,12 @@ def box(comm: MPI.Comm, n: int, low: list[float], high: list[float]) -> Domain:
         for end, place in enumerate((low[axis], high[axis])):
             parts[f"{name}{end}"] = lambda x, axis=axis, place=place: np.isclose(x[axis], place)
     return domain_of(mesh, parts)
+
+
+def half(gap: str, push: float) -> Elasticity:
+    """One half of a symmetric body, E = 1 and ν = 0.3, which a traction along y on top pushes onto a plane."""
+    held, pushed = Dirichlet("x0", 0, components="x"), Neumann("y1", ["0", str(push)])
+    return Elasticity(1.0, 0.3, conditions=[Contact("y0", gap), held, pushed, Neumann("x1", 0)])
 
 
 def half_plane_contact(nu: float, x0: float = 0.07) -> list[str]:

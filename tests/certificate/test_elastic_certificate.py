@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from elastic import box, half_plane_contact
+from elastic import box, half, half_plane_contact
 from makers.bodies import energy_difference, measured
 from measuring.korn import bound_of, korn_constant, moment_error, trace_constant
 from mpi4py import MPI
@@ -291,16 +291,7 @@ def test_bound_in_space():
 @pytest.mark.parallel([1, 2])
 def test_adaptive_meshes_start_from_the_sets_before():
     """Refinement where the bound says so halves it with fewer unknowns than uniformly, from the contact set before."""
-    problem = Elasticity(
-        1.0,
-        0.3,
-        conditions=[
-            Contact("y0", "x^2/2"),
-            Dirichlet("x0", 0, components="n"),
-            Neumann("y1", ["0", "-0.02"]),
-            Neumann("x1", 0),
-        ],
-    )
+    problem = half("x^2/2", -0.02)
 
     def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
         return solve(domain, problem, start=start)
@@ -327,16 +318,7 @@ def test_contact_with_two_normals_at_a_corner():
 
 def test_a_body_that_one_vertex_holds():
     """Contact at one vertex of a facet holds v against a rigid motion; without that the bound was 1e9 %."""
-    problem = Elasticity(
-        1.0,
-        0.3,
-        conditions=[
-            Contact("y0", "2*x^2"),
-            Dirichlet("x0", 0, components="x"),
-            Neumann("y1", ["0", "-0.005"]),
-            Neumann("x1", 0),
-        ],
-    )
+    problem = half("2*x^2", -0.005)
     solution, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem) for n in (4, 24))
     assert solution.contact.facets == 1
     difference = energy_difference(solution, fine)

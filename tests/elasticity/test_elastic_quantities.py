@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from elastic import box
+from elastic import box, half
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, Wall
@@ -58,16 +58,7 @@ def test_part_without_pressure(unit: float):
 
 def cylinder(comm: MPI.Comm, n: int) -> ElasticSolution:
     """Half a cylinder of radius 1 on a plane, pressed by 0.0172615: half the width of contact is 0.2034."""
-    problem = Elasticity(
-        1.0,
-        0.3,
-        conditions=[
-            Contact("y0", "x^2/2"),
-            Dirichlet("x0", 0, components="x"),
-            Neumann("y1", ["0", "-0.0172615"]),
-            Neumann("x1", 0),
-        ],
-    )
+    problem = half("x^2/2", -0.0172615)
     return solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), problem)
 
 
