@@ -7,7 +7,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, solve
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
@@ -31,6 +31,13 @@ def box(comm: MPI.Comm, n: int, low: list[float], high: list[float]) -> Domain:
         for end, place in enumerate((low[axis], high[axis])):
             parts[f"{name}{end}"] = lambda x, axis=axis, place=place: np.isclose(x[axis], place)
     return domain_of(mesh, parts)
+
+
+def block(comm: MPI.Comm) -> ElasticSolution:
+    """A block 2 x 3 x 1 under a uniform pressure of 0.1 that may grow wider."""
+    held = [Dirichlet(f"{axis}0", 0, components=axis) for axis in "xy"]
+    conditions = [Contact("z0"), *held, Neumann("z1", ["0", "0", "-0.1"]), Neumann(["x1", "y1"], 0)]
+    return solve(box(comm, 1, [0.0, 0.0, 0.0], [2.0, 3.0, 1.0]), Elasticity(1.0, 0.3, conditions=conditions))
 
 
 def half(gap: str, push: float) -> Elasticity:

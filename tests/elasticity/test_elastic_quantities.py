@@ -4,31 +4,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from elastic import box, half
+from elastic import block, box, half
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, Wall
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
-
-
-def block(comm: MPI.Comm) -> ElasticSolution:
-    """A block 2 x 3 x 1 under a uniform pressure of 0.1 that may grow wider."""
-    domain = box(comm, 1, [0.0, 0.0, 0.0], [2.0, 3.0, 1.0])
-    return solve(
-        domain,
-        Elasticity(
-            1.0,
-            0.3,
-            conditions=[
-                Contact("z0"),
-                Dirichlet("x0", 0, components="x"),
-                Dirichlet("y0", 0, components="y"),
-                Neumann("z1", ["0", "0", "-0.1"]),
-                Neumann(["x1", "y1"], 0),
-            ],
-        ),
-    )
 
 
 @pytest.mark.parallel([1, 3])
