@@ -239,6 +239,16 @@ def test_the_pressure_form_has_the_water_of_the_head_form(element: str):
     assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
+def test_water_at_rest_loses_none():
+    """A box in space is filled in a step, and in the next nothing flows: what rounding leaves is no error of mass."""
+    cube, filled = build_domain(COMM, "cube", 0.9, mesh="structured"), Dirichlet("top", 1.1)
+    walls = Neumann([part for part in cube.facets if part != "top"], 0)
+    problem = Diffusion(kappa=VanGenuchten(1.0, 2.0, 1.8, 0.05, 0.4), f=0, conditions=[filled, walls])
+    for step in evolve(cube, problem, Evolution(end=0.2, steps=2, initial=0.2), Options(element="RT1")):
+        assert step.numbers["mass_error"] < 1e-11
+        assert step.numbers["content"] == pytest.approx(0.4)
+
+
 def test_bodies_with_meshes_of_their_own():
     """A tied pair of bodies with the same facets stores and moves the water of one body; with other facets near it."""
     soil, held = VanGenuchten(1.0, 2.0, 1.8, 0.05, 0.4), [Neumann("u11", 0.1), Dirichlet("l10", 0.3)]

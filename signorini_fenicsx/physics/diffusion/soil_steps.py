@@ -16,6 +16,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import quasilinear_of
@@ -90,7 +91,8 @@ class SoilSteps(DiffusionSteps):
     def of_step(self, solution: Solution, earlier: Mapping[str, float] | None = None) -> dict[str, float]:
         """The water there is, what flowed in, and its balance (collective).
 
-        The error of mass is what the content has grown less what flowed in, or more, beside all that flowed.
+        The error of mass is what the content has grown less what flowed in, or more, beside all that flowed; 0 where it
+        is the rounding of the content, as of soil without flow.
         """
         storing, measures, done = _storing(solution), self.spaces.cell_measures, earlier or {}
         theta, f, before = (each.mean(axis=1) for each in (self.theta(solution), storing.f, storing.before))
@@ -99,7 +101,8 @@ class SoilSteps(DiffusionSteps):
         sums = np.array([measures @ theta, stored, flow.sum(), np.abs(flow).sum()])
         content, stored, inflow, gross = self.spaces.mesh.comm.allreduce(sums).tolist()
         whole, details = max(abs(stored), gross), solution.outcome.details
-        off = abs(stored - inflow) / whole if whole > 0 else 0.0
+        lacking = abs(stored - inflow)
+        off = lacking / whole if lacking > ROUNDING * storing.rate * content else 0.0
         return {
             "content": content,
             "inflow": done.get("inflow", 0.0) + inflow / storing.rate,
