@@ -19,13 +19,12 @@ import pyamg
 import scipy.sparse as sp
 import skfem
 import typer
+from measuring.problem import PROBLEMS, Arithmetic, Problem, Result, kkt_residual, primal_dual_active_set
 from ngsolve import dx, grad
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 from scipy.sparse.linalg import cg
 from skfem.helpers import dot
 from skfem.models.elasticity import lame_parameters, linear_elasticity
-
-from measuring.problem import PROBLEMS, Arithmetic, Problem, Result, kkt_residual, primal_dual_active_set
 
 type Array = np.ndarray
 type Solve = Callable[[Array, Array, Array], Array]
