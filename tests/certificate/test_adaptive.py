@@ -95,11 +95,8 @@ def test_masters_are_refined_with_slaves(lower: int, opposite: list[float]) -> N
 @pytest.mark.parallel([2, 3])
 def test_refinement_does_not_depend_on_the_ranks():
     """The cells are the same on any number of ranks, also where edges have equal length."""
-    for shape, mesh, h in [
-        ("square", "structured", 0.5),
-        ("cube", "structured", 0.9),
-        ("annulus", "unstructured", 0.5),
-    ]:
+    shapes = [("square", "structured", 0.5), ("cube", "structured", 0.9), ("annulus", "unstructured", 0.5)]
+    for shape, mesh, h in shapes:
         together, alone = (refined(comm, shape, mesh, h, 4) for comm in (COMM, MPI.COMM_SELF))
         weights = np.array([1.0, np.pi, np.e])[: SHAPES[shape].dim]
         parts = COMM.allgather(np.sort(corners(together) @ weights, axis=1))
