@@ -17,14 +17,14 @@ from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.rigorous.simplices import EDGES, Cells, facet_measures
+from signorini_fenicsx.rigorous.simplices import EDGES, BareCells, facet_measures
 
 INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
 """Kinds of facets."""
 
 
 @dataclass(frozen=True)
-class MeshCells(Cells):
+class MeshCells(BareCells):
     """The cells of a mesh.
 
     Attributes:

@@ -50,8 +50,8 @@ def root_above(value: float) -> float:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """Cells.
+class BareCells:
+    """Simplices of which the vertices are known.
 
     Attributes:
         vertices: Their vertices, shape (cells, d + 1, d).
@@ -66,7 +66,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Simplices(Cells):
+class Simplices(BareCells):
     """Cells and their geometry.
 
     Attributes:
