@@ -154,7 +154,7 @@ def test_what_quadrature_misses_of_the_gap(plane: str, own: str):
     best = BestDisplacement(spaces, solution.data, y, spaces.split, 2)
     v, _ = best.minimum()
     resolution = Resolution(spaces, solution.data)
-    with_missed, _ = gap_of_cells(solution, y, best, v, resolution)
+    with_missed, _ = gap_of_cells(solution, best, v, resolution)
     x = ufl.SpatialCoordinate(spaces.split.mesh)
     E, nu = (1.0, 0.2) if own else (ufl.exp(x[0] * x[1]), 0.1 + 0.2 * x[0] * x[1])
     e, identity = ufl.sym(ufl.grad(v)), ufl.Identity(2)
