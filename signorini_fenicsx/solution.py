@@ -13,7 +13,7 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.seen import Control
 from signorini_fenicsx.quantities.bracket import Quantity
 from signorini_fenicsx.quantities.kinds import Kind
-from signorini_fenicsx.solving.physics import OUTPUT, at
+from signorini_fenicsx.solving.physics import OUTPUT
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Solution(Solved):
     @collector_off()
     def _repr_html_(self) -> str | None:
         """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
-        return at(OUTPUT["html"])(self)
+        return OUTPUT["html"](self)
 
     @collector_off()
     def plot(self, certificate: Certificate | None = None) -> Figure | None:
@@ -94,7 +94,7 @@ class Solution(Solved):
         Returns:
             The figure, which a notebook shows and `savefig` writes; None on all ranks but 0.
         """
-        return at(OUTPUT["plot"])(self, certificate)
+        return OUTPUT["plot"](self, certificate)
 
     @collector_off()
     def write(
@@ -114,4 +114,4 @@ class Solution(Solved):
             InputError: If the folder cannot be written or contains other files.
             LaterFailure: If the solution is written, but not all of the others.
         """
-        at(OUTPUT["write"])(self, folder, certificate=certificate, plot=plot, html=html)
+        OUTPUT["write"](self, folder, certificate=certificate, plot=plot, html=html)

@@ -3,21 +3,15 @@
 They are looked up by name where an import would point upwards.
 """
 
-import importlib
+from collections.abc import Callable
 from typing import Any
 
 DIFFUSION = "diffusion"
 """The physics of files that name none."""
 
 
-def at(place: str) -> Any:
-    """What is at a place, "module:name"; imports the module."""
-    module, _, name = place.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
 class Physics:
-    """A physics, given by the places of its attributes, "module:name", which are imported when they are first used.
+    """A physics; its attributes are found, by `late`, when they are first used, so that little is imported.
 
     Attributes:
         problem: The class of its problems, which are `PosedProblem`.
@@ -42,20 +36,20 @@ class Physics:
     proofs: Any
     refining: Any
 
-    def __init__(self, **places: str):
-        """Keep the places; an attribute without one is None."""
-        self._places = places
-
     def __getattr__(self, what: str) -> Any:
         if what not in Physics.__annotations__:
             raise AttributeError(what)
-        found = at(self._places[what]) if what in self._places else None
+        found = self.late(what)
         setattr(self, what, found)
         return found
+
+    def late(self, _what: str) -> Any:
+        """Import an attribute; None if there is none."""
+        return None
 
 
 PHYSICS: dict[str, Physics] = {}
 """All physics by their names."""
 
-OUTPUT: dict[str, str] = {}
+OUTPUT: dict[str, Callable[..., Any]] = {}
 """What writes a solution and draws it, by the names of the methods of `Solution` that ask for it."""

@@ -13,7 +13,7 @@ import pytest
 from commands import signorini
 from made_cases import on_square, rotated
 from mpi4py import MPI
-from springs import SPRINGS
+from springs import Springs
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
@@ -328,7 +328,7 @@ def test_data_from_python_and_large_meshes(monkeypatch: pytest.MonkeyPatch):
         check_size(rough_cells(load_case("example1").with_values({"solve.h": "2^-10"})), "diffusion")
     with pytest.raises(InputError, match="has room for 50000 cells, not 6e"):
         check_size(60_000, "elasticity")
-    monkeypatch.setitem(PHYSICS, "springs", SPRINGS)
+    monkeypatch.setitem(PHYSICS, "springs", Springs())
     with pytest.raises(InputError, match="there is no proof for springs"):
         check_size(10, "springs")
 

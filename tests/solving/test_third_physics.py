@@ -9,7 +9,7 @@ import pytest
 from commands import read_rows
 from in_time import run, run_in_two
 from mpi4py import MPI
-from springs import SPRINGS
+from springs import Springs
 from springs.solving import Bed, Edges
 
 from signorini_fenicsx import certify, compare, load_solution, solve
@@ -32,7 +32,7 @@ def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     domain = build_domain(COMM, "square", 0.3, mesh="structured")
     with pytest.raises(InputError, match="must be a Diffusion, an Elasticity or a Stokes, not Bed"):
         solve(domain, Bed(2.0, -1.0, Edges(["bottom"])))
-    monkeypatch.setitem(PHYSICS, "springs", SPRINGS)
+    monkeypatch.setitem(PHYSICS, "springs", Springs())
     solution = solve(domain, Bed(2.0, -1.0, Edges(["bottom"])), name="bed")
     certificate = certify(solution)
     assert certificate.if_none == "none is known for springs"
