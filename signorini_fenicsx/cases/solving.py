@@ -1,5 +1,6 @@
 """Solving the problem of a case file."""
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -13,6 +14,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.complaints import naming
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cases.readings import check_places
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -93,11 +95,18 @@ def check_quantities_of(case: CaseFile, domain: Domain, posed: Any) -> None:
     """
     check_places(domain, case.probe, case.section)
     for each in case.quantity:
-        try:
+        with _naming(each):
             check_quantities(domain, posed, [each.made()])
-        except InputError as error:
-            error.args = (f"[[quantity]] {each.name}: {error}",)
-            raise
+
+
+@contextlib.contextmanager
+def _naming(quantity: QuantityTexts) -> Iterator[None]:
+    """Name a quantity of a case in what is refused about it."""
+    try:
+        yield
+    except InputError as error:
+        error.args = (f"[[quantity]] {quantity.name}: {error}",)
+        raise
 
 
 def check_named(case: CaseFile, name: str | None) -> None:
@@ -121,12 +130,9 @@ def quantities_of(solution: Solution, near: Mapping[str, Quantity | None] | None
     """
     found, before = {}, near or {}
     for each in solution.source.quantity if isinstance(solution.source, CaseFile) else []:
-        try:
+        with _naming(each):
             interval = solution.quantity(each.made(), before.get(each.name))
             found[each.name] = replace(interval, symbol=each.symbol, unit=each.unit)
-        except InputError as error:
-            error.args = (f"[[quantity]] {each.name}: {error}",)
-            raise
     return found
 
 

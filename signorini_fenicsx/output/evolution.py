@@ -100,9 +100,10 @@ def write_evolution(
             columns = opposite.columns
             of = type(opposite.table)
             _write_sites(results.path / of.name, rows, lambda step: columns(steps.table(step, of, OPPOSITE)), many=many)
+        units = units_of(solution)
         for name, table in readings.items():
-            own = units_of(solution) if name in TABLES else {}
-            found = (with_units(steps.readings(row, name), own) for row in rows)
+            of_table = units if name in TABLES else {}
+            found = (with_units(steps.readings(row, name), of_table) for row in rows)
             write_columns(results.path / f"{name}.csv", found)
             if is_outline(table):
                 write_outlines(results.path / f"{name}.xdmf", ((row["t"], steps.readings(row, name)) for row in rows))

@@ -115,9 +115,11 @@ class FrictionOfDisplacement:
         """The gap of each facet, or a bit more; `half` as in `LawOnFacets.integrals`."""
         slips = self.slips(v)
         works = np.einsum("n,ak,nam,nkm->n", self.measure, moments_of(self.contact), self.shear, slips, optimize=True)
-        on_springs = self.springs.somewhere & ~self.springs.slipped(slips).any(axis=(1, 2))
         whole = self.rubbed(slips) + self.springs.stored + works
-        return np.where(on_springs, 0.5, 1.0) * whole if half else whole
+        if not half:
+            return whole
+        on_springs = self.springs.somewhere & ~self.springs.slipped(slips).any(axis=(1, 2))
+        return np.where(on_springs, 0.5, 1.0) * whole
 
     def lengths(self, v: fem.Function, facets: int) -> Array:
         """‖s‖ on so many facets of `ElasticSpaces.rough`; 0 where v is not."""

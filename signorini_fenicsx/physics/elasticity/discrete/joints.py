@@ -5,12 +5,14 @@ with s = u_t − w₀ after the slip w₀ of earlier steps the potential of the 
 
     φ(s) = min_w ½k|s − w|² + g|w|,   φ*(τ) = |τ|²/2k for |τ| ≤ g,   ∞ for others:
 
-what `bound/joints.py` adds to the gap. σ_t is linear on a facet, so the means of σ_t/k by the hats of its vertices are
-Cσ_t with a symmetric matrix C for each facet, and w of the vertices is u_t + Cσ_t. In the plane `VertexLaws` has that.
+what `bound/friction.py` adds to the gap. σ_t is linear on a facet, so the means of σ_t/k by the hats of its vertices
+are Cσ_t with a symmetric matrix C for each facet, and w of the vertices is u_t + Cσ_t. In the plane `VertexLaws` has
+that.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,12 +33,12 @@ class SpringsAlong:
     stiffness: Array
     data: Sequence[tuple[str, Datum, Indices]] = ()
 
-    @property
+    @cached_property
     def somewhere(self) -> Mask:
         """Mask of the facets with springs."""
         return np.asarray(np.isfinite(self.stiffness).all(axis=1))
 
-    @property
+    @cached_property
     def compliances(self) -> Array:
         """C for the vertices of each facet, 0 without springs, shape (facets, d, d)."""
         dim = self.stiffness.shape[1]
