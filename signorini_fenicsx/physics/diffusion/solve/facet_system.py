@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -152,9 +153,9 @@ class FacetSystem(SoilTraces):
 
     def means_of_cells(self, traces: Array) -> Array:
         """See `SoilTraces` (collective)."""
-        return sums_at(self._numbers, self._dofs, traces) / sums_at(self._numbers, self._dofs)
+        return sums_at(self._numbers, self._dofs, traces) / self.cells_around
 
-    @property
+    @cached_property
     def fixed(self) -> npt.NDArray[np.int32]:
         """See `SoilTraces`."""
         return cells_and_dofs(self.spaces.crouzeix_raviart, self.spaces.dirichlet_facets)[1]

@@ -151,7 +151,7 @@ class FluxSystem(SoilTraces, HybridSystem):
     def means_of_cells(self, traces: Array) -> Array:
         """See `SoilTraces` (collective)."""
         of_facets = traces.reshape(*self._dofs.shape, self.spaces.dim)
-        means = sums_at(self._numbers, self._dofs, of_facets) / sums_at(self._numbers, self._dofs)[:, None]
+        means = sums_at(self._numbers, self._dofs, of_facets) / self.cells_around[:, None]
         for facets, matrices in self.spaces.frames:
             means[facets.blocks] = np.linalg.solve(matrices, means[facets.blocks][:, :, None])[:, :, 0]
         return means.ravel()

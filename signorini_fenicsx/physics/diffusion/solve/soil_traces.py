@@ -1,12 +1,14 @@
 """Traces of a step with soils: û in which it begins, and how far Newton's method goes."""
 
 from abc import abstractmethod
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.discrete.hybrid_system import TraceSystem
 
 
@@ -14,6 +16,13 @@ class SoilTraces(TraceSystem):
     """A system for traces, which have values on the facets of cells where `Quasilinear` looks at them."""
 
     _data: Any
+    _numbers: Any
+    _dofs: npt.NDArray[np.int32]
+
+    @cached_property
+    def cells_around(self) -> Array:
+        """The number of cells with each û of this rank, ghosts too (collective when first used)."""
+        return sums_at(self._numbers, self._dofs)
 
     @abstractmethod
     def traces_on_cells(self, unknowns: Array) -> Array:
