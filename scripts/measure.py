@@ -3,17 +3,13 @@
     uv run python scripts/measure.py WHAT …          (WHAT --help tells the options)
 
 `benchmark`   seconds beside P1 and P2 of scikit-fem and NGSolve at equal errors (`uv run --group bench`)
-`libraries`   a pressed block by P2 of scikit-fem and NGSolve (`uv run --group bench`)
 `scaling`     seconds, memory and messages over ranks
-`repeated`    solves per second on one mesh
-`steps`       steps in time whose sets stand still (also under mpirun)
 `gradients`   seconds and memory of gradients beside solves
 `methods`     all algorithms on all examples
 `adaptive`    what adaptive refinement gains; `quantities` for intervals of quantities
 `orders`      how intervals of quantities shrink with h
-`cubics`      bounds of bodies by quadratics and by cubics
-`quadratics`  how far quadratic elements pass a bound, and how wrong they are
-`elastic`     a pressed block beside one linear solve and P2, with friction, two bodies, or as a flow
+`elastic`     a pressed block beside one linear solve and P2 (`uv run --group bench`), with friction, two bodies, or
+              as a flow
 `friction`    how many linear problems friction in space takes
 `pairs`       what pairs of surfaces cost (also under mpirun)
 `soils`       how many linear problems soils take; `soil-columns` in time
@@ -32,14 +28,13 @@ import typer
 
 MODULES = {
     **dict.fromkeys(["benchmark", "ours"], "benchmark"),
-    **dict.fromkeys(["libraries", "conforming"], "conforming"),
-    **dict.fromkeys(["scaling", "repeated", "steps", "gradients"], "runs"),
-    **dict.fromkeys(["adaptive", "quantities", "orders", "cubics", "quadratics"], "bounds"),
+    **dict.fromkeys(["scaling", "gradients"], "runs"),
+    **dict.fromkeys(["adaptive", "quantities", "orders"], "bounds"),
     **dict.fromkeys(["elastic", "friction"], "elastic"),
     "soil-columns": "soils",
     **dict.fromkeys(["korn", "proved-korn"], "korn"),
     **dict.fromkeys(["mindlin", "plate", "penalty"], "published"),
-    **{name: name for name in ("methods", "pairs", "soils")},
+    **{name: name for name in ("conforming", "methods", "pairs", "soils")},
 }
 """Where each is, in `measuring`."""
 

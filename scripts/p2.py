@@ -14,7 +14,6 @@ Usage: python scripts/p2.py [--cells N …]     print the block of `oblique` bes
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
 import argparse
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +32,11 @@ from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, 
 
 SINGULAR = 1e-10
 """Pivots below this share of the largest one are rounding."""
+NEAR = 1e-9
+"""Distance within which a point is on a side."""
+
+type Side = tuple[int, float]
+"""A coordinate and its value there."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class Box:
         mesh: Its mesh, on one process.
         young: E, a number or UFL on the mesh.
         poisson: ν.
-        g_N: Tractions by side: the coordinate and its value there.
+        g_N: Tractions by side.
         fixed: For a side the components of v that are 0.
         gap: g, a number.
         f: Force per volume; none if it is empty.
@@ -52,31 +56,32 @@ class Box:
     mesh: dolfinx.mesh.Mesh
     young: float | ufl.core.expr.Expr
     poisson: float
-    g_N: Mapping[tuple[int, float], Sequence[float]]
-    fixed: Mapping[tuple[int, float], Sequence[int]]
+    g_N: Mapping[Side, Sequence[float]]
+    fixed: Mapping[Side, Sequence[int]]
     gap: float
     f: Sequence[float] = ()
 
 
 @dataclass(frozen=True)
-class P2Contact:
+class P2:
     """A solution by P2 displacements.
 
     Attributes:
         v: The displacement.
-        energy: ½(ℂε(v), ε(v)) − (f, v) − ⟨g_N, v⟩.
-        touching: Number of coefficients in contact.
-        steps: Set updates.
-        unknowns: Unknowns of the linear systems.
-        seconds: Of the processor, from the mesh to v.
+        energy: ½(ℂε(v), ε(v)) − (f, v) − ⟨g_N, v⟩ + Σ k|v_t|.
+        forces: Those of the coefficients on Γ_C, the normal ones, or with friction vectors.
+        steps: Set updates, or sweeps.
     """
 
     v: fem.Function
     energy: float
-    touching: int
+    forces: np.ndarray
     steps: int
-    unknowns: int
-    seconds: float
+
+    @property
+    def touching(self) -> int:
+        """Number of coefficients in contact."""
+        return int(np.count_nonzero(self.forces))
 
 
 def stress(v: ufl.core.expr.Expr, young: float | ufl.core.expr.Expr, poisson: float) -> ufl.core.expr.Expr:
@@ -86,7 +91,7 @@ def stress(v: ufl.core.expr.Expr, young: float | ufl.core.expr.Expr, poisson: fl
     return 2 * mu * strain + lame * ufl.tr(strain) * ufl.Identity(len(v))
 
 
-def solve_p2(box: Box, *, between: bool = False) -> P2Contact:
+def solve_p2(box: Box, *, between: bool = False) -> P2:
     """Solve on a box.
 
     If Γ_C is between two bodies, the mesh is cut there, and the body above is pressed onto that below. Then all of Γ_C
@@ -99,7 +104,6 @@ def solve_p2(box: Box, *, between: bool = False) -> P2Contact:
     Raises:
         RuntimeError: If the sets do not settle, or one of them lets a body move freely.
     """
-    began = time.process_time()
     space, A, b, held, contact = assembled(box)
     jumps = scipy.sparse.eye_array(len(b)).tocsr()
     if between:
@@ -114,11 +118,9 @@ def solve_p2(box: Box, *, between: bool = False) -> P2Contact:
 
     first = np.isin(np.arange(len(b)), contact) if between else None
     settled = primal_dual_active_set(under, lambda x: A @ x - b, contact, np.zeros(len(b)), -box.gap, first)
-    x, touching = settled.u, int(settled.active.sum())
-    v = fem.Function(space)
+    x, v = settled.u, fem.Function(space)
     v.x.array[:] = jumps @ x
-    energy, unknowns = float(x @ (A @ x) / 2 - b @ x), len(b) - len(held) - touching
-    return P2Contact(v, energy, touching, settled.steps, unknowns, time.process_time() - began)
+    return P2(v, float(x @ (A @ x) / 2 - b @ x), settled.force[contact], settled.steps)
 
 
 def factorised(matrix: scipy.sparse.csr_array) -> scipy.sparse.linalg.SuperLU:
@@ -134,30 +136,26 @@ def factorised(matrix: scipy.sparse.csr_array) -> scipy.sparse.linalg.SuperLU:
     return factors
 
 
-def assembled(box: Box) -> tuple[fem.FunctionSpace, scipy.sparse.csr_array, np.ndarray, np.ndarray, np.ndarray]:
+def assembled(
+    box: Box, degree: int = 2
+) -> tuple[fem.FunctionSpace, scipy.sparse.csr_array, np.ndarray, np.ndarray, np.ndarray]:
     """The space, A, b, the unknowns that are 0, and the normal ones on Γ_C."""
     mesh = box.mesh
     assert mesh.comm.size == 1
     dim = mesh.geometry.dim
-    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
+    basis = basix.LagrangeVariant.bernstein if degree > 1 else basix.LagrangeVariant.gll_warped
+    element = basix.ufl.element("P", mesh.basix_cell(), degree, basis, shape=(dim,))
     space = fem.functionspace(mesh, element)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     load = ufl.dot(fem.Constant(mesh, np.array(box.f or [0.0] * dim, dtype=float)), v) * ufl.dx
-    sides = [_facets(mesh, side) for side in box.g_N]
-    numbers = np.concatenate([np.full(len(facets), number, dtype=np.int32) for number, facets in enumerate(sides)])
-    facets = np.concatenate(sides)
-    order = np.argsort(facets)
-    tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets[order], numbers[order])
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    for number, traction in enumerate(box.g_N.values()):
-        load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds(number)
+    for side, traction in box.g_N.items():
+        load += on(mesh, side) * ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ufl.ds
     form = ufl.inner(stress(u, box.young, box.poisson), ufl.sym(ufl.grad(v))) * ufl.dx
     A = fem.assemble_matrix(fem.form(form)).to_scipy().tocsr()
     b = fem.assemble_vector(fem.form(load)).array
-    zero = [_dofs(space, mesh, side, k) for side, components in box.fixed.items() for k in components]
+    zero = [_dofs(space, side, k) for side, components in box.fixed.items() for k in components]
     held = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *zero]))
-    contact = np.setdiff1d(_dofs(space, mesh, (dim - 1, 0.0), dim - 1), held)
-    return space, A, b, held, contact
+    return space, A, b, held, np.setdiff1d(_dofs(space, (dim - 1, 0.0), dim - 1), held)
 
 
 def stress_norm(mesh: dolfinx.mesh.Mesh, sigma: ufl.core.expr.Expr, young: float, poisson: float) -> float:
@@ -181,14 +179,18 @@ def _jumps(space: fem.FunctionSpace, both: np.ndarray, size: int) -> tuple[np.nd
     return upper, (scipy.sparse.eye_array(size) + ones).tocsr()
 
 
-def _facets(mesh: dolfinx.mesh.Mesh, side: tuple[int, float]) -> np.ndarray:
+def on(mesh: dolfinx.mesh.Mesh, side: Side) -> ufl.core.expr.Expr:
+    """1 on a side and 0 on the others."""
     axis, place = side
-    return dolfinx.mesh.locate_entities_boundary(mesh, mesh.geometry.dim - 1, lambda x: np.isclose(x[axis], place))
+    return ufl.conditional(ufl.lt(abs(ufl.SpatialCoordinate(mesh)[axis] - place), NEAR), 1.0, 0.0)
 
 
-def _dofs(space: fem.FunctionSpace, mesh: dolfinx.mesh.Mesh, side: tuple[int, float], component: int) -> np.ndarray:
+def _dofs(space: fem.FunctionSpace, side: Side, component: int) -> np.ndarray:
     """Unknowns of a component on a side; in Bernstein's basis as in Lagrange's."""
-    nodes = fem.locate_dofs_topological(space, mesh.geometry.dim - 1, _facets(mesh, side))
+    mesh, (axis, place) = space.mesh, side
+    last = mesh.geometry.dim - 1
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, last, lambda x: np.isclose(x[axis], place))
+    nodes = fem.locate_dofs_topological(space, last, facets)
     return nodes.astype(np.int64) * mesh.geometry.dim + component
 
 
@@ -199,32 +201,13 @@ GAP, PUSH, LIFT = 0.01, [0.05, 0.03, -0.1], [0.0, 0.0, 0.03]
 LAWS = (Tresca(0.02), Coulomb(0.1), Coulomb(0.3), Coulomb(1.0))
 
 
-@dataclass(frozen=True)
-class P2Friction:
-    """A solution by P2 displacements.
-
-    Attributes:
-        v: The displacement.
-        energy: ½(ℂε(v), ε(v)) − (f, v) − ⟨g_N, v⟩ + Σ k|v_t|.
-        force: ∫ σn over Γ_C.
-        sweeps: Sweeps.
-        unknowns: Unknowns of the linear system.
-    """
-
-    v: fem.Function
-    energy: float
-    force: np.ndarray
-    sweeps: int
-    unknowns: int
-
-
-def solve_p2_friction(box: Box, law: Tresca | Coulomb) -> P2Friction:
+def solve_p2_friction(box: Box, law: Tresca | Coulomb) -> P2:
     """Solve on a box with this law on Γ_C.
 
     Raises:
         RuntimeError: If the forces do not settle, or nothing else holds the body.
     """
-    dim = box.mesh.geometry.dim
+    mesh, dim = box.mesh, box.mesh.geometry.dim
     space, A, b, held, contact = assembled(box)
     free = np.setdiff1d(np.arange(len(b)), held)
     nodes = contact[np.isin(contact, free)] // dim
@@ -232,29 +215,19 @@ def solve_p2_friction(box: Box, law: Tresca | Coulomb) -> P2Friction:
     factors = factorised(A[free][:, free])
     pulls = np.zeros((len(free), rows.size))
     pulls[rows.ravel(), np.arange(rows.size)] = 1.0
-    flexible = factors.solve(pulls)
-    at_rest = factors.solve(b[free])
-    bound_of_law = law.g * _weights(space, nodes) if isinstance(law, Tresca) else None
-    mu = law.mu if isinstance(law, Coulomb) else 0.0
-    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], box.gap, mu, bound_of_law)
+    flexible, at_rest = factors.solve(pulls), factors.solve(b[free])
+    mu, given = (law.mu, None) if isinstance(law, Coulomb) else (0.0, None)
+    if isinstance(law, Tresca):
+        weight = on(mesh, (dim - 1, 0.0)) * ufl.TestFunction(space)[dim - 1] * ufl.ds
+        given = law.g * fem.assemble_vector(fem.form(weight)).array[nodes * dim + dim - 1]
+    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], box.gap, mu, given)
     x = np.zeros(len(b))
     x[free] = at_rest + flexible @ forces.ravel()
     slips = np.linalg.norm(x[nodes[:, None] * dim + np.arange(dim - 1)], axis=1)
-    bound = mu * forces[:, -1] if bound_of_law is None else bound_of_law
-    u = fem.Function(space)
-    u.x.array[:] = x
-    energy = float(x @ (A @ x) / 2 - b @ x + bound @ slips)
-    return P2Friction(u, energy, forces.sum(axis=0), sweeps, len(free))
-
-
-def _weights(space: fem.FunctionSpace, nodes: np.ndarray) -> np.ndarray:
-    """∫ B over Γ_C, where the last coordinate is 0, for the B of each of these nodes."""
-    mesh, dim = space.mesh, space.mesh.geometry.dim
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, lambda x: np.isclose(x[dim - 1], 0))
-    tags = dolfinx.mesh.meshtags(mesh, dim - 1, np.sort(facets), np.zeros(len(facets), dtype=np.int32))
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    sums = fem.assemble_vector(fem.form(ufl.TestFunction(space)[dim - 1] * ds(0))).array
-    return np.asarray(sums[nodes * dim + dim - 1])
+    bound = mu * forces[:, -1] if given is None else given
+    v = fem.Function(space)
+    v.x.array[:] = x
+    return P2(v, float(x @ (A @ x) / 2 - b @ x + bound @ slips), forces, sweeps)
 
 
 def _forces(
@@ -290,33 +263,30 @@ def _forces(
     raise RuntimeError("the forces do not settle")
 
 
-def oblique(n: int, law: Tresca | Coulomb) -> tuple[Any, P2Friction]:
+def oblique(n: int, law: Tresca | Coulomb) -> tuple[Any, P2]:
     """A block, n cells high, that is held at one end and pushed obliquely on a plane: by the package, and by P2."""
-    domain, contact = (
-        box([0.0, 0.0, 0.0], [2.0, 1.0, 1.0], [2 * n, n, n], MPI.COMM_SELF),
-        Contact("bottom", gap=GAP, friction=law),
-    )
+    domain = box([0.0, 0.0, 0.0], [2.0, 1.0, 1.0], [2 * n, n, n], MPI.COMM_SELF)
     rest = [Neumann("top", PUSH), Neumann("right", LIFT), Neumann(["front", "back"]), Dirichlet("left", 0)]
-    solution, loads = solve(domain, Elasticity(1.0, 0.3, conditions=[contact, *rest])), {(2, 1.0): PUSH, (0, 2.0): LIFT}
-    return solution, solve_p2_friction(Box(domain.mesh, 1.0, 0.3, loads, {(0, 0.0): [0, 1, 2]}, GAP), law)
+    body = Elasticity(1.0, 0.3, conditions=[Contact("bottom", gap=GAP, friction=law), *rest])
+    loads = {(2, 1.0): PUSH, (0, 2.0): LIFT}
+    return solve(domain, body), solve_p2_friction(Box(domain.mesh, 1.0, 0.3, loads, {(0, 0.0): [0, 1, 2]}, GAP), law)
 
 
 def main() -> None:
     """Print a line for each law and mesh."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cells", type=int, nargs="*", default=[2, 3], help="cells along the height")
-    print("law     cells  stick slip open  energies: P2, ours, between   stress: P2, ours     ", end="")
-    print("force on the plane: P2; ours")
+    print("law, cells: energies: P2, ours; stress: P2, ours; force on the plane: P2; ours")
     for law in LAWS:
         for n in parser.parse_args().cells:
             solution, other = oblique(n, law)
             norms = solution.norms()
             complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
             size = stress_norm(solution.spaces.mesh, stress(other.v, 1.0, 0.3), 1.0, 0.3)
-            name = f"mu {law.mu:g}" if isinstance(law, Coulomb) else "Tresca"
-            states = "".join(f"{each['vertices']:6d}" for each in solution.friction_states().values())
-            told = (
-                f"{name:7} {n:5} {states}  {other.energy:.6f} {-complementary:.6f} {other.energy + complementary:.1e}"
-            )
-            pulls = ("  ".join(f"{x:.5f}" for x in each[:3]) for each in (other.force, solution.resultants()["bottom"]))
-            print(f"{told}    {size:.5f} {norms['energy']:.5f}   {';  '.join(pulls)}")
+            pulls = other.forces.sum(axis=0), solution.resultants()["bottom"]
+            told = ";  ".join("  ".join(f"{x:.5f}" for x in each[:3]) for each in pulls)
+            print(f"{law}, {n}: {other.energy:.6f} {-complementary:.6f}; {size:.5f} {norms['energy']:.5f}; {told}")
+
+
+if __name__ == "__main__":
+    main()

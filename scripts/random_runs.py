@@ -5,14 +5,12 @@
 `problems`  scalar problems against SNESVI or SNES
 `laws`      with several laws on Γ_S against a quadratic programme; `laws-inside` with laws in Ω too
 `bounds`    certified bounds against solutions on the mesh refined twice, κ with jumps at cells; `bounds-smooth` without
-            jumps, `bounds-across` with jumps in cells, `bounds-RT1` by fluxes of order two, `small` with κ near 0,
-            `starts` of first steps in time
-`bodies`    bounds of elastic bodies against adaptive meshes; `two-bodies`, `pairs` of bodies with meshes of their own,
-            `rough` data, `flows`
+            jumps, `bounds-across` with jumps in cells, `bounds-RT1` by fluxes of order two, `small` with κ near 0
+`elasticity`  all that elastic problems take: two algorithms, the balance, and bounds against adaptive meshes; `pairs`
+            of bodies with meshes of their own, `rough` data, `flows`
 `quantities`  intervals of quantities against those on finer meshes; `quantities-bodies` of elastic bodies, `exact`
             against exact values
-`elasticity`  all that elastic problems take: two algorithms, the balance, and the bound
-`first`     first problems of engineers and hydrologists as case files, which are kept in results/first
+`first`     shipped cases with other numbers, by the default options
 
 A seed determines a problem. Each prints a line, or only those that are wrong do; then come counts, and the least, the
 median and the largest of some numbers.
@@ -33,21 +31,18 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import collect_garbage
 
 KINDS = {
-    "problems": ("scalar", "problem"),
-    "laws": ("scalar", "laws"),
-    "laws-inside": ("scalar", "laws", True),
+    "problems": ("scalar", "random_scalar"),
+    "laws": ("scalar", "random_scalar", True),
+    "laws-inside": ("scalar", "random_scalar", True, True),
     "bounds": ("bounds", "bound", "aligned"),
     "bounds-smooth": ("bounds", "bound", "none"),
     "bounds-across": ("bounds", "bound", "across"),
     "bounds-RT1": ("bounds", "bound", "aligned", "RT1"),
-    **{name: ("bounds", name) for name in ("small", "starts")},
-    "bodies": ("bodies", "body_bound", "one"),
-    "two-bodies": ("bodies", "body_bound", "bodies"),
-    **{name: ("bodies", "body_bound", name) for name in ("pairs", "rough", "flows")},
+    "small": ("bounds", "small"),
+    **{name: ("bodies", "random_body", name) for name in ("elasticity", "pairs", "rough", "flows")},
     "quantities": ("quantities", "of_random"),
     "quantities-bodies": ("quantities", "of_random", True),
     "exact": ("quantities", "of_exact"),
-    "elasticity": ("bodies", "mixture"),
     "first": ("first", "first_problem"),
 }
 """For each kind a module of `makers`, its function, and what this takes besides the seed."""

@@ -5,9 +5,6 @@ for u_D ≥ ψ, ψ, q_S and g_N. κ is 1 (`none`), or jumps between 1 and 1e6: b
 within them (`across`). A row has ‖σ_f − σ_h‖ with σ_f from the finer mesh, and the ratio of the bound to it. If this
 ratio is below 1, the bound of the finer mesh decides whether σ_f is not accurate enough or the bound is too low.
 
-Starts are first steps in time from values that vary within cells, with laws of storage and capacities that vary; there
-the bound is that of the step.
-
 Strips are problems on the unit square or cube that depend on x alone, whose κ is nearly 0 in vertices or in cells. With
 κ = a e eᵀ + r (I − e_x e_xᵀ), e = (1, s, 0), the flux is σ = (C − F)(1, s, 0), F = ∫f: u = U at both ends makes
 ∫ (C − F)/a = 0. The left side is in contact, and on the other sides σ·n is given.
@@ -29,7 +26,7 @@ from ufl.core.expr import Expr
 
 from makers import Found
 from makers.scalar import distort, random_case
-from signorini_fenicsx import Diffusion, Evolution, Neumann, Signorini, StepBounds, evolve
+from signorini_fenicsx import Diffusion, Neumann, Signorini
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import owned_cells
@@ -180,34 +177,6 @@ def of_small(seed: int, comm: MPI.Comm) -> Row:
     low = min(certificate.sigma_bound / error, certificate.relative * size / certificate.bound)
     words = f"{shape} {h:.3g} {'guaranteed' if certificate.guaranteed else certificate.reservation} {strip}"
     return Row(words, error, certificate.sigma_bound, certificate.guaranteed and low < 1 - 1e-6)
-
-
-def of_start(seed: int, comm: MPI.Comm) -> Row:
-    """Bound the first step of a problem in time and compare it with that on the finer mesh (collective)."""
-    rng = np.random.default_rng(seed)
-    k, a, at, tau = rng.uniform(1, 40), rng.uniform(0, 6), rng.uniform(0.2, 0.8), 10 ** rng.uniform(-2, 0)
-    starts = f"sin({k}*x + {a})", f"1 if x < {at} else -1", f"abs(y - {at}) - 0.2", f"x*{k}*exp(-{k}*(x - {at})^2)"
-    graphs = (
-        {"corners": [[0, 0]], "before": float(rng.uniform(0.1, 3)), "beyond": float(rng.uniform(0.1, 3))},
-        {"corners": [[-0.5, -0.2], [0, 0], [0.1, 1]], "before": 0.5, "beyond": 2},
-        {"corners": [[0, 0], [0, 1]], "before": 1, "beyond": 1},
-        *("0.1 + x", f"1 if x < {at} else {k}", f"1 + {k}*sin(9*y)^2"),
-    )
-    u_0, capacity = starts[rng.integers(len(starts))], graphs[rng.integers(len(graphs))]
-    coarse = build_domain(comm, "square", math.sqrt(2) / rng.integers(2, 7), mesh="structured")
-    fine = coarse
-    for _ in range(2):
-        fine = refine(fine, owned_cells(fine.mesh))
-    law = Signorini("bottom", psi=-0.1) if rng.random() < 0.5 else Neumann("bottom", 0.3)
-    problem = Diffusion(f=float(rng.uniform(-5, 5)), conditions=[Neumann("top"), law])
-    first = [next(iter(evolve(domain, problem, Evolution(tau, 1, u_0, capacity)))) for domain in (coarse, fine)]
-    (certificate, finer), distance = (
-        (StepBounds().certify(one) for one in first),
-        difference(*(one.solution for one in first)),
-    )
-    words = f"{'proved' if certificate.proved else certificate.reservation}, tau {tau:.3g}, u_0 {u_0}, C {capacity}"
-    wrong = certificate.proved and certificate.sigma_bound < (1 - 1e-9) * (distance - finer.sigma_bound)
-    return Row(words, distance, certificate.sigma_bound, wrong)
 
 
 def difference(coarse: Solution, fine: Solution) -> float:
@@ -365,11 +334,6 @@ def bound(seed: int, jumps: str, element: str = "RT0") -> list[Found]:
 def small(seed: int) -> list[Found]:
     """Compare with exact fluxes for small κ (collective)."""
     return _found(lambda: of_small(seed, MPI.COMM_WORLD))
-
-
-def starts(seed: int) -> list[Found]:
-    """Compare first steps in time (collective)."""
-    return _found(lambda: of_start(seed, MPI.COMM_WORLD))
 
 
 def _found(examine: Callable[[], Row]) -> list[Found]:

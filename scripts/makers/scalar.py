@@ -9,7 +9,9 @@ programme; where that fails, as where κ jumps on bad cells, it is the other alg
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -82,8 +84,12 @@ class Wave:
         return np.sin(self.k @ x + self.a)
 
 
-def random_problem(seed: int) -> tuple[Case, Domain, Problem, str]:
-    """A case, its mesh, its data and a description."""
+type Drawn = tuple[Domain, Problem, Options, str]
+"""A mesh, the problem, how it is solved, and a description."""
+
+
+def random_problem(seed: int) -> Drawn:
+    """A problem with one law."""
     rng = np.random.default_rng(seed)
     case = random_case(rng)
     domain = mesh_case(case, MPI.COMM_SELF)
@@ -95,7 +101,8 @@ def random_problem(seed: int) -> tuple[Case, Domain, Problem, str]:
     words = [case.geometry.shape or "", case.geometry.mesh, "bad cells" if bad else ""]
     words += [f"Γ_S {boundary.signorini}", f"Γ_N {boundary.neumann}", f"κ 1 to {contrast:.0e}"]
     words += ["rough f" if rough else "smooth f", solving.algorithm, solving.backend]
-    return case, domain, problem, ", ".join(word for word in words if word)
+    posed = replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary)
+    return domain, posed, options_of(case), ", ".join(word for word in words if word)
 
 
 def random_case(rng: np.random.Generator) -> Case:
@@ -158,31 +165,30 @@ def random_data(rng: np.random.Generator, domain: Domain, contrast: float, *, ro
 
 def examine(seed: int) -> Result:
     """Solve the problem of a seed with its algorithm and with the reference."""
-    case, domain, problem, words = random_problem(seed)
+    domain, problem, options, words = random_problem(seed)
+    return solved(domain, problem, options, words, [replace(options, algorithm=REFERENCES[options.algorithm_name])])
+
+
+def solved(domain: Domain, problem: Problem, options: Options, words: str, ways: Sequence[Options]) -> Result:
+    """Solve a problem, and in the first of other ways that does not fail."""
     try:
-        solution = solve(
-            domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary), options_of(case)
-        )
+        solution = solve(domain, problem, options)
     except NumericalFailure as failure:
         return Result(words, str(failure), np.inf, np.nan)
-    reference = case.with_values({"solve.algorithm": REFERENCES[case.solve.algorithm]})
-    try:
-        expected = solve(
-            domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary), options_of(reference)
-        )
-    except NumericalFailure:
-        difference = np.nan
-    else:
-        difference = max(distance(solution.sigma, expected.sigma), distance(solution.p, expected.p))
+    differences = (apart(solution, domain, problem, way) for way in ways)
+    difference = next((number for number in differences if number is not None), np.nan)
     return Result(words, solution.outcome.reason, max(vars(solution.kkt).values()), difference)
 
 
-def problem(seed: int) -> list[Found]:
-    """Examine a problem with one law."""
-    result = examine(seed)
-    counts = ["reference failed"] * bool(np.isnan(result.difference))
-    counts += ["by single changes"] * ("single facets" in result.ending)
-    return [result.found(counts, wrong=not result.good)]
+def apart(solution: Solution, domain: Domain, problem: Problem, way: Options) -> float | None:
+    """The relative difference of σ and p from those of another way to solve; None if that way fails."""
+    try:
+        expected = solve(domain, problem, way)
+    except (NumericalFailure, InputError):
+        return None
+    size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (solution.p, solution.u))
+    of_trace = float(np.abs(solution.p.x.array - expected.p.x.array).max(initial=0.0))
+    return max(distance(solution.sigma, expected.sigma), of_trace / size if size > 0 else 0.0)
 
 
 def distance(values: fem.Function, expected: fem.Function) -> float:
@@ -235,11 +241,14 @@ def random_graph(rng: np.random.Generator, part: str, size: float) -> Law:
     return Corners([part], list(zip(u.tolist(), flux.tolist(), strict=True)), *ends)
 
 
-def random_laws_inside(rng: np.random.Generator, size: float) -> list[Law]:
+REGIONS = (EVERYWHERE, "west", ["east"])
+
+
+def random_laws_inside(rng: np.random.Generator, size: float, regions: Sequence[Any] = REGIONS) -> list[Law]:
     """One to three laws in Ω: obstacles, reactions, graphs; on bounds of u they do not contradict one another."""
     laws: list[Law] = []
     for number in range(rng.integers(1, 4)):
-        region = [EVERYWHERE, "west", ["east"]][rng.integers(3)]
+        region = regions[rng.integers(len(regions))]
         kind = rng.integers(4 if number == 0 else 3)
         corners = rng.integers(1, 4)
         steps = rng.exponential(0.2, (corners, 2)) * (rng.random((corners, 2)) < 0.7)
@@ -265,8 +274,8 @@ def halved(domain: Domain) -> Domain:
     return replace(domain, regions=cells)
 
 
-def problem_of_laws(seed: int, *, inside: bool = False) -> tuple[Domain, Boundary, Problem, Options, str]:
-    """All that a solve needs, and a description."""
+def problem_of_laws(seed: int, *, inside: bool = False) -> Drawn:
+    """A problem with several laws."""
     rng = np.random.default_rng([seed, 1])
     case = random_case(rng)
     domain = mesh_case(case, MPI.COMM_SELF)
@@ -285,46 +294,31 @@ def problem_of_laws(seed: int, *, inside: bool = False) -> tuple[Domain, Boundar
     words = [case.geometry.shape or "", "bad cells" if bad else "", f"Γ_N {neumann}", f"κ 1 to {contrast:.0e}"]
     words += [f"{law.name} on {(law.parts or law.region)[0]}" for law in laws] + [algorithm, case.solve.backend]
     options = Options(algorithm=algorithm, backend=case.solve.backend, max_iterations=200)
-    return domain, Boundary([], neumann), problem, options, ", ".join(word for word in words if word)
+    posed = replace(problem, boundary=Boundary([], neumann))
+    return domain, posed, options, ", ".join(word for word in words if word)
 
 
 def examine_laws(seed: int, *, inside: bool = False) -> Result | None:
     """Solve the problem of a seed, and in another way; None if it has no unique solution."""
-    domain, boundary, problem, options, words = problem_of_laws(seed, inside=inside)
+    domain, problem, options, words = problem_of_laws(seed, inside=inside)
+    algorithm = "alg2" if options.algorithm_name == "alg1" else "alg1"
+    backend = "mixed" if options.backend_name == "hybrid" else "hybrid"
+    ways = [replace(options, algorithm="qp"), replace(options, algorithm=algorithm, backend=backend)]
     try:
-        solution = solve(domain, replace(problem, boundary=boundary), options)
+        return solved(domain, problem, options, words, ways)
     except InputError as error:
         if "no part of the boundary" in str(error) or "u_D on Γ_D" in str(error):
             return None
         raise
-    except NumericalFailure as failure:
-        return Result(words, str(failure), np.inf, np.nan)
-    algorithm = "alg2" if options.algorithm_name == "alg1" else "alg1"
-    backend = "mixed" if options.backend_name == "hybrid" else "hybrid"
-    ways = [replace(options, algorithm="qp"), replace(options, algorithm=algorithm, backend=backend)]
-    differences = (apart(solution, domain, boundary, problem, way) for way in ways)
-    difference = next((number for number in differences if number is not None), np.nan)
-    return Result(words, solution.outcome.reason, max(vars(solution.kkt).values()), difference)
 
 
-def apart(solution: Solution, domain: Domain, boundary: Boundary, problem: Problem, way: Options) -> float | None:
-    """The relative difference of σ and p from those of another way to solve; None if that way fails."""
-    try:
-        expected = solve(domain, replace(problem, boundary=boundary), way)
-    except (NumericalFailure, InputError):
-        return None
-    size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (solution.p, solution.u))
-    of_trace = float(np.abs(solution.p.x.array - expected.p.x.array).max(initial=0.0))
-    return max(distance(solution.sigma, expected.sigma), of_trace / size if size > 0 else 0.0)
-
-
-def laws(seed: int, inside: bool = False) -> list[Found]:
-    """Examine a problem with several laws; it may fail, but not be wrong."""
-    result = examine_laws(seed, inside=inside)
+def random_scalar(seed: int, laws: bool = False, inside: bool = False) -> list[Found]:
+    """Examine a problem; with several laws it may fail, but not be wrong."""
+    result = examine_laws(seed, inside=inside) if laws else examine(seed)
     if result is None:
         return [Found("", ["without a unique solution"], shown=False)]
-    solved = "sets repeat" in result.ending
-    counts = ["good" if solved else "failed", *["no reference"] * bool(np.isnan(result.difference))]
+    repeats = "sets repeat" in result.ending
+    counts = ["good" if repeats else "failed", *["no reference"] * bool(np.isnan(result.difference))]
     counts += ["by single changes"] * ("by changing single" in result.ending)
-    wrong = solved and (result.kkt > KKT or result.difference > AGREE_OF_LAWS)
-    return [result.found(counts, wrong=wrong)]
+    off = result.kkt > KKT or result.difference > AGREE_OF_LAWS
+    return [result.found(counts, wrong=repeats and off if laws else not result.good)]

@@ -18,7 +18,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -66,6 +66,7 @@ class Run:
         error: Of the flux.
         seconds_of_bound: Those of the bound besides; of ours alone.
         bound: The bound; of ours alone.
+        energy: ½a(u, u) − b(u); of the others alone.
     """
 
     problem: str
@@ -78,6 +79,7 @@ class Run:
     error: float
     seconds_of_bound: float = 0.0
     bound: float = float("nan")
+    energy: float = float("nan")
 
 
 def benchmark(
@@ -105,25 +107,32 @@ def benchmark(
 
 
 def launch(name: str, program: str, number: int, sizes: Sequence[str], folder: Path) -> list[Run]:
-    """Solve with each size in one process.
+    """Solve with each size in one process."""
+    if program in OTHERS:
+        lines = by_other(program, name, [mesh_of(PROBLEMS[name], h, folder) for h in sizes])
+    else:
+        lines = apart("ours", program, name, str(AGAIN), *sizes)
+    return [Run(name, program, number, h, **line) for h, line in zip(sizes, lines, strict=True)]
+
+
+def by_other(program: str, name: str, meshes: Sequence[Path]) -> list[dict[str, Any]]:
+    """What another program finds on each mesh."""
+    library, degree = OTHERS[program]
+    return apart("conforming", library, str(degree), name, str(AGAIN), *map(str, meshes))
+
+
+def apart(*command: str) -> list[dict[str, Any]]:
+    """What `measure.py` prints in a process of its own, line by line.
 
     Raises:
         RuntimeError: If it fails.
     """
-    problem = PROBLEMS[name]
-    if program in OTHERS:
-        library, degree = OTHERS[program]
-        meshes = [mesh_of(problem, h, folder) for h in sizes]
-        command = ["conforming", library, str(degree), name, str(AGAIN), *map(str, meshes)]
-    else:
-        command = ["ours", program, name, str(AGAIN), *sizes]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
-    command = [sys.executable, MEASURE, *command]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
-    if done.returncode != 0 or len(lines) != len(sizes):
-        raise RuntimeError(f"{program}, {name}: {done.stderr[-2000:]}")
-    return [Run(name, program, number, h, **line) for h, line in zip(sizes, lines, strict=True)]
+    words = [sys.executable, MEASURE, *command]
+    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def mesh_of(problem: Problem, h: str, folder: Path) -> Path:

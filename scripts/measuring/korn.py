@@ -21,8 +21,10 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.discrete.hybrid_system import Eliminated, eliminate, responses
 from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
+from signorini_fenicsx.linear.petsc import set_direct
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, regular_simplex, stretch
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
@@ -97,19 +99,14 @@ def largest_eigenvalue(vertices: Array, numbers: Indices) -> float:
     the norm ½‖τ‖² = max over x of ½ m·Cm + x·Rm − ½ x·Kx.
     """
     cells = Cells(vertices[numbers])
-    dim, count, element = cells.dim, len(numbers), reference(cells.dim)
+    dim, count = cells.dim, len(numbers)
     size = (dim + 1) * dim
-    products, tractions = _products(cells), cells.tractions(element.tractions)
-    free, rest = slice(None, element.free), slice(element.free, None)
     balance = -np.kron(np.eye(dim + 1), np.linalg.inv(cells.derivative))
-    of_free, of_rest = tractions[:, :, free], tractions[:, :, rest] @ balance
-    coupled = products[:, free, rest] @ balance
-    both = np.linalg.solve(products[:, free, free], np.concatenate([of_free.transpose(0, 2, 1), coupled], axis=2))
-    of_traces, of_loads = np.split(both, [of_free.shape[1]], axis=2)
-    alone = balance.transpose(0, 2, 1) @ products[:, rest, rest] @ balance - coupled.transpose(0, 2, 1) @ of_loads
-
-    _, _, unknowns, solve = _system_of_traces(vertices, numbers, of_free @ of_traces)
-    right = _assembled(of_free @ of_loads - of_rest, unknowns, np.arange(count * size).reshape(count, size))
+    products, eliminated = _eliminated(cells)
+    alone = balance.transpose(0, 2, 1) @ responses(products, size)[1] @ balance
+    _, _, unknowns, solve = _system_of_traces(vertices, numbers, eliminated.matrix)
+    of_loads = -eliminated.u.transpose(0, 2, 1) @ balance
+    right = _assembled(of_loads, unknowns, np.arange(count * size).reshape(count, size))
 
     def response(m: Array) -> Array:
         mine = np.einsum("nij,nj->ni", alone, m)
@@ -122,9 +119,7 @@ def largest_eigenvalue(vertices: Array, numbers: Indices) -> float:
 def largest_eigenvalue_of_tractions(vertices: Array, numbers: Indices) -> float:
     """t_h² of a mesh, for the facet of the simplex on which the last coordinate is 0."""
     cells = Cells(vertices[numbers])
-    dim, free = cells.dim, slice(None, reference(cells.dim).free)
-    of_free = cells.tractions(reference(dim).tractions)[:, :, free]
-    matrices = of_free @ np.linalg.solve(_products(cells)[:, free, free], of_free.transpose(0, 2, 1))
+    dim, matrices = cells.dim, _eliminated(cells)[1].matrix
     facets, blocks, _, solve = _system_of_traces(vertices, numbers, matrices)
     on = np.flatnonzero((np.abs(vertices[facets][:, :, -1]) < 1e-12).all(axis=1))
     cell, local = np.divmod([int(np.argmax(blocks == facet)) for facet in on], dim + 1)
@@ -139,14 +134,16 @@ def largest_eigenvalue_of_tractions(vertices: Array, numbers: Indices) -> float:
     return _largest(vertices[facets[on]], measures, response)
 
 
-def _products(cells: Cells) -> Array:
-    """(τ, τ') of the basis on each cell."""
-    dim = cells.dim
+def _eliminated(cells: Cells) -> tuple[Array, Eliminated]:
+    """(τ, τ') of the basis on each cell, and what is left for the traces."""
+    dim, element = cells.dim, reference(cells.dim)
     hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
     share = cells.measure[:, None, None, None] / (dim + 1)
     masses = share * np.kron(hats, np.eye(dim * (dim + 1) // 2))
     masses = np.broadcast_to(masses, (len(masses), dim + 1, *masses.shape[2:]))
-    return compliance_product(cells.stresses(reference(dim).stresses), masses)
+    products = compliance_product(cells.stresses(element.stresses), masses)
+    none, numbers = np.zeros((len(masses), dim * (dim + 1))), np.arange(len(masses), dtype=np.int32)
+    return products, eliminate(numbers, cells, cells.tractions(element.tractions), products, none)
 
 
 def _system_of_traces(
@@ -206,9 +203,7 @@ def _solver(matrix: sp.csr_array) -> Callable[[Array], Array]:
     petsc = PETSc.Mat().createAIJ(matrix.shape, csr=rows, comm=MPI.COMM_SELF)
     solver = PETSc.KSP().create(MPI.COMM_SELF)
     solver.setOperators(petsc)
-    solver.setType(PETSc.KSP.Type.PREONLY)
-    solver.pc.setType(PETSc.PC.Type.CHOLESKY)
-    solver.pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+    set_direct(solver, "cholesky")
     x, right = petsc.createVecs()
 
     def solve(values: Array) -> Array:

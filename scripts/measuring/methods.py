@@ -2,33 +2,27 @@
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
-from rich.console import Console
-from rich.table import Table
 
-from signorini_fenicsx.base import fenicsx
+from measuring import COMM, say, show
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.base.parallel import collector_off, on_root
-from signorini_fenicsx.base.text import write_table
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import measure, sampled, squares_degree
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
-COMM = MPI.COMM_WORLD
-MEANS = ("iterations", "seconds", "flux", "mass")
+MEANS = ("iterations", "seconds", "flux", "mass", "contact")
 """The columns with means over the examples."""
 
 
@@ -61,132 +55,91 @@ class MethodRow:
     distance: float
 
 
-def complain(method: str, failure: NumericalFailure) -> None:
-    """Print which method failed and why."""
-    if COMM.rank == 0:
-        print(f"{method} failed: {failure}")
-
-
-def show(rows: list[MethodRow]) -> None:
-    """Print the rows of one example."""
-    if COMM.rank == 0:
-        columns = [field.name for field in fields(MethodRow)][1:]
-        table = Table(*columns, title=rows[0].case)
-        for row in rows:
-            values = (getattr(row, name) for name in columns)
-            table.add_row(*(f"{value:.2e}" if isinstance(value, float) else str(value) for value in values))
-        Console(width=130).print(table)
-
-
-def summarise(rows: dict[int, list[MethodRow]]) -> None:
-    """Print means over the examples, and for each method its largest distance from Algorithm 1."""
-    if COMM.rank == 0:
-        title = "geometric means over the examples, h ≤ " + " / ".join(f"2^-{level}" for level in rows)
-        table = Table("method", *MEANS, "distance", title=title)
-        for method in METHODS:
-            means = [" / ".join(f"{mean(some, method, column):.2g}" for some in rows.values()) for column in MEANS]
-            distance = max(row.distance for some in rows.values() for row in some if row.method == method)
-            table.add_row(method, *means, f"{distance:.1e}")
-        Console(width=130).print(table)
-
-
-def mean(rows: list[MethodRow], method: str, column: str) -> float:
+def mean(rows: Sequence[MethodRow], method: str, column: str) -> float:
     """Geometric mean of a column over the rows of one method."""
     values = [getattr(row, column) for row in rows if row.method == method]
     return float(np.exp(np.mean(np.log(np.maximum(values, 1e-17)))))
 
 
-def methods(
-    examples: str = "1,2,3,4,5,6",
-    levels: str = "3:5",
-    reference: int = 7,
-    output: Path = Path("results/compare_methods"),
-) -> None:
+def methods(examples: str = "1,2,3,4,5,6", levels: str = "3:5", reference: int = 7) -> None:
     """All algorithms on all examples and three mesh sizes: work, accuracy, mass balance, contact set.
 
-    For h ≤ 2^-level it prints, and writes into methods.csv, one row per algorithm, then means over the examples; the
-    columns are explained in `MethodRow`. The reference is Algorithm 1 with h ≤ 2^-reference, and ε is 1e-8 in all
-    examples.
+    For h ≤ 2^-level it prints one row per algorithm, then means over the examples; the columns are explained in
+    `MethodRow`. The reference is Algorithm 1 with h ≤ 2^-reference, and ε is 1e-8 in all examples.
     """
     first, last = (int(level) for level in levels.split(":"))
     for method in METHODS:  # compiles the forms, so that no time contains this
         solve_case(load_case("example1").with_values({"solve.algorithm": method, "solve.h": 0.25}))
     rows: dict[int, list[MethodRow]] = {level: [] for level in range(first, last + 1)}
+    columns = [field.name for field in fields(MethodRow)]
     for example in examples.split(","):
         case = load_case(f"example{example}")
         fine = solve_case(case.with_values({"solve.algorithm": "alg1", "solve.h": 2.0**-reference}))
-        comparisons = {level: compare_methods(case, 2.0**-level, fine, on_failure=complain) for level in rows}
-        for level, of_level in comparisons.items():
-            rows[level] += of_level
-        show([row for of_level in comparisons.values() for row in of_level])
-
-    summarise(rows)
-
-    def write() -> None:
-        output.mkdir(parents=True, exist_ok=True)
-        write_table(output / "methods.csv", MethodRow, itertools.chain(*rows.values()))
-
-    on_root(COMM, write)
+        for level, some in rows.items():
+            new = compare_methods(case, 2.0**-level, fine)
+            some += new
+            show(columns, [[getattr(row, name) for name in columns] for row in new])
+    lines = []
+    for method in METHODS:
+        means = [" / ".join(f"{mean(some, method, column):.2g}" for some in rows.values()) for column in MEANS]
+        lines.append(
+            [method, *means, max(row.distance for some in rows.values() for row in some if row.method == method)]
+        )
+    say(f"geometric means over the examples, h ≤ 2^-({levels})")
+    show(["method", *MEANS, "distance"], lines)
 
 
 @collector_off()
-def compare_methods(
-    case: Case,
-    h: float,
-    fine: Solution,
-    methods: tuple[str, ...] = tuple(METHODS),
-    *,
-    on_failure: Callable[[str, NumericalFailure], None] = lambda method, failure: None,
-) -> list[MethodRow]:
+def compare_methods(case: Case, h: float, fine: Solution, methods: Sequence[str] = tuple(METHODS)) -> list[MethodRow]:
     """Solve by each method, all from a cold start on one mesh, and compare with a fine solution (collective).
 
     Args:
         case: The problem.
         h: Wanted largest cell diameter.
         fine: The reference.
-        methods: Algorithms; Algorithm 1 always runs.
-        on_failure: Called on all ranks with each method that fails and its failure; it has no row.
+        methods: Algorithms; Algorithm 1 always runs, and what fails has no row.
 
     Raises:
         InputError: If there is no mesh with this h.
         NumericalFailure: If Algorithm 1 fails.
     """
-    domain = mesh_case(case.with_values({"solve.h": h}), fine.spaces.mesh.comm)
+    domain, rows = mesh_case(case.with_values({"solve.h": h}), fine.spaces.mesh.comm), []
 
     def solved(method: str) -> Solution:
         values = {"solve.algorithm": method, "solve.h": h, "solve.predict": False}
         return solve_case(case.with_values(values), domain=domain)
 
     exact = solved("alg1")
-    solutions: dict[str, Solution] = {}
     for method in methods:
         try:
-            solutions[method] = solved(method)
+            solution = solved(method)
         except NumericalFailure as failure:
-            on_failure(method, failure)
-    return [
-        MethodRow(
-            case=case.name,
-            h=domain.h,
-            method=method,
-            iterations=_iterations(method, solution),
-            seconds=solution.timings["assembly"] + solution.timings["solve"],
-            flux=flux,
-            trace=trace,
-            mass=mass_imbalance(solution),
-            contact=contact,
-            distance=distance(solution, exact),
-        )
-        for (method, solution), (flux, trace, contact) in zip(
-            solutions.items(), _errors(list(solutions.values()), fine), strict=True
-        )
-    ]
+            say(f"{method} failed: {failure}")
+            continue
+        history, timings = solution.outcome.history, solution.timings
+        iterations = history[-1].linear_iterations if method == "qp" else len(history)
+        numbers = *errors(solution, fine), mass_imbalance(solution), wrong_contact(solution, fine)
+        seconds = timings["assembly"] + timings["solve"]
+        rows.append(MethodRow(case.name, domain.h, method, iterations, seconds, *numbers, distance(solution, exact)))
+    return rows
 
 
-def _iterations(method: str, solution: Solution) -> int:
-    """The iterations of a method, those of PIQP for qp, which is one call of it."""
-    history = solution.outcome.history
-    return history[-1].linear_iterations if method == "qp" else len(history)
+def errors(solution: Solution, fine: Solution) -> tuple[float, float]:
+    """‖σ_ref − σ_h‖ / ‖σ_ref‖ and ‖p_ref − p_h‖_Λ / ‖p_ref‖_Λ (collective)."""
+    spaces, source, norms = fine.spaces, solution.spaces.domain, fine.norms()
+    (sigma,) = sampled([solution.sigma], spaces.mesh, source, degree=(inside := squares_degree(spaces.mesh)))
+    gamma = spaces.Lambda.mesh
+    (p,) = sampled([solution.p], gamma, source, degree=(along := squares_degree(gamma)))
+    off = spaces.integrate(l2(fine.sigma - sigma, measure(spaces.mesh, inside))) ** 0.5
+    off_p = spaces.integrate(l2(fine.p - p, measure(gamma, along))) ** 0.5
+    return off / norms["sigma_L2"], off_p / norms["p_L2"]
+
+
+def wrong_contact(solution: Solution, fine: Solution) -> float:
+    """Measure of the facets in contact in only one of two solutions, divided by |Γ_S| (collective)."""
+    found = compare(solution, fine)
+    both = sum(found.contact) * found.jaccard / (1 + found.jaccard)
+    return (sum(found.contact) - 2 * both) / COMM.allreduce(fine.spaces.facet_measure.sum())
 
 
 def mass_imbalance(solution: Solution) -> float:
@@ -202,29 +155,3 @@ def distance(one: Solution, two: Solution) -> float:
     pairs = [(one.sigma, two.sigma), (one.u, two.u), (one.p, two.p)]
     local = max(float(np.abs(a.x.array - b.x.array).max(initial=0.0)) for a, b in pairs)
     return one.spaces.mesh.comm.allreduce(local, MPI.MAX)
-
-
-def _errors(solutions: list[Solution], fine: Solution) -> Iterator[tuple[float, float, float]]:
-    """Flux, trace and contact errors of solutions on one mesh; its points are searched only once (collective)."""
-    spaces, comm = fine.spaces, fine.spaces.mesh.comm
-    mesh, gamma = spaces.mesh, spaces.Lambda.mesh
-    source = solutions[0].spaces.domain
-    inside, on_gamma = squares_degree(mesh), squares_degree(gamma)
-    dx, ds = measure(mesh, inside), measure(gamma, on_gamma)
-
-    def norm(difference: ufl.core.expr.Expr, where: ufl.Measure) -> float:
-        return float(np.sqrt(comm.allreduce(fem.assemble_scalar(fenicsx.form(l2(difference, where))))))
-
-    touching = fine.contact_set().inside
-    sigma_norm, p_norm = norm(fine.sigma, dx), norm(fine.p, ds)
-    gamma_measure = comm.allreduce(spaces.facet_measure.sum())
-    sigmas = sampled([solution.sigma for solution in solutions], mesh, source, degree=inside)
-    traces = sampled([solution.p for solution in solutions], gamma, source, degree=on_gamma)
-    contacts = sampled([solution.contact_set().indicator() for solution in solutions], gamma, source, degree=0)
-    for sigma, p, contact in zip(sigmas, traces, contacts, strict=True):
-        wrong = np.abs(np.rint(contact.x.array[: len(touching)]) - touching)
-        yield (
-            norm(fine.sigma - sigma, dx) / sigma_norm,
-            norm(fine.p - p, ds) / p_norm,
-            float(comm.allreduce(spaces.facet_measure @ wrong) / gamma_measure),
-        )

@@ -38,6 +38,8 @@ class Problem:
         energy: Of u, where ∇u is not known: −½‖σ_h‖² of `adapt` with a target of 7e-5, and half the square of the bound
             at most above.
         heights: The last coordinate on Γ_S; the rest of the boundary is Γ_D.
+        least: The least value of u on Γ_S.
+        press: Of an elastic block, which is held where x = 0, the traction on its top; load is along the same axis.
     """
 
     case: str
@@ -48,6 +50,17 @@ class Problem:
     values: Mapping[str, object] = field(default_factory=dict)
     energy: float = 0.0
     heights: Sequence[float] = (0.0,)
+    least: float = 0.0
+    press: float = 0.0
+
+    def parts(self, x: Array) -> npt.NDArray[np.str_]:
+        """The part of the boundary on which facets with these middles are, shape (d, n)."""
+        below = np.min([np.abs(x[-1] - height) for height in self.heights], axis=0) < 1e-12
+        if not self.press:
+            return np.where(below, "contact", "held")
+        return np.select(
+            [below, np.isclose(x[0], 0), np.isclose(x[-1], 1)], ["contact", "held", "pressed"], default="free"
+        )
 
 
 def _level(x: Points) -> tuple[Any, tuple[Any, ...], float]:
@@ -113,6 +126,11 @@ PROBLEMS = {
     ),
     "transition3d": Problem("transition3d", 3, _smooth, _smooth_load, _smooth_gradient),
     "singular3d": _of_singular(3),
+}
+YOUNG, POISSON, GAP, WEIGHT, PRESS = 1.0, 0.3, 0.02, -0.3, -0.1
+"""Of a block of length 2 that is fixed on one side and pressed onto a foundation."""
+BLOCKS = {
+    f"block{dim}d": Problem("", dim, _zero, lambda x, _: WEIGHT + 0 * x[0], least=-GAP, press=PRESS) for dim in (2, 3)
 }
 
 

@@ -11,9 +11,8 @@ import dolfinx.mesh
 import numpy as np
 import typer
 from mpi4py import MPI
-from rich.console import Console
-from rich.table import Table
 
+from measuring import show
 from signorini_fenicsx import evolve_case, load_case, solve, solve_case
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.cases.domains import mesh_case
@@ -187,7 +186,7 @@ def penalty(finest: Annotated[int, typer.Argument(help="h ≥ 2^-FINEST.")] = 5)
     - I − II:   ‖σ_I − σ_II‖_V / ‖σ_I‖_V, the distance between the two formulations,
     - sign I, sign II: ‖[p]_-‖_Λ/ε and ‖[σ·n]_-‖_Λ/ε, bounded if the signs of proposition 3 hold up to O(ε).
     """
-    table = Table("example", "h", "ε", "bound I", "bound II", "I − II", "sign I", "sign II")
+    rows = []
     for example in (4, 5, 6):
         for level in range(2, finest + 1):
             base = load_case(f"example{example}").with_values({"solve.h": 2.0**-level})
@@ -206,6 +205,5 @@ def penalty(finest: Annotated[int, typer.Argument(help="h ≥ 2^-FINEST.")] = 5)
                     p_minus / eps,
                     flux_minus / eps,
                 )
-                table.add_row(str(example), f"2^-{level}", f"{eps:g}", *(f"{value:.3g}" for value in row))
-    if MPI.COMM_WORLD.rank == 0:
-        Console().print(table)
+                rows.append([example, f"2^-{level}", eps, *row])
+    show(["example", "h", "ε", "bound I", "bound II", "I − II", "sign I", "sign II"], rows)

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from dolfinx.mesh import DiagonalType, create_rectangle
-from mpi4py import MPI
+from boxes import box
+from dolfinx.mesh import DiagonalType
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -19,14 +19,12 @@ from signorini_fenicsx import (
     NumericalFailure,
     Signorini,
     VanGenuchten,
-    domain_of,
     evolve,
     load_case,
     solve,
     solve_case,
 )
 from signorini_fenicsx.contact.law import Law
-from signorini_fenicsx.meshes.domain import Domain
 
 SOILS = {
     "sand": (14.5, 2.68, 29.7, 0.045, 0.43), "loamy sand": (12.4, 2.28, 14.59, 0.057, 0.41),
@@ -38,14 +36,6 @@ SOILS = {
 }  # fmt: skip
 """α in 1/m, n, K in cm/h, θ_r and θ_s."""
 HEIGHT, CELLS, SUCTION = 2.0, 80, 10.0
-
-
-def column(height: float, numbers: list[int], diagonal: DiagonalType = DiagonalType.right) -> Domain:
-    """A column of so many squares beside and above each other."""
-    width = height * numbers[0] / numbers[1]
-    mesh = create_rectangle(MPI.COMM_WORLD, [(0, 0), (width, height)], numbers, diagonal=diagonal)
-    sides = {"bottom": (1, 0.0), "top": (1, height), "left": (0, 0.0), "right": (0, width)}
-    return domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()})
 
 
 def evaporation(soil: VanGenuchten) -> float:
@@ -93,7 +83,8 @@ def soils() -> None:
     elements with the mean of κ at their nodes, the usual ones for soil. The exact q is the one with
     ∫ dψ/(1 + q/K k_r) = 2 m from -10 m to 0.
     """
-    domain, case = column(HEIGHT, [2, CELLS], DiagonalType.crossed), load_case("earth_dam")
+    width, case = 2 * HEIGHT / CELLS, load_case("earth_dam")
+    domain = box([0, 0], [width, HEIGHT], [2, CELLS], diagonal=DiagonalType.crossed)
     print(f"{'soil':16}{'dam':>6}{'rain':>6}{'dry':>6}{'q/K':>12}{'exact':>12}{'linear':>12}")
     for name, (alpha, n, k, *_) in SOILS.items():
         soil = VanGenuchten(k * 0.01 / 3600, alpha, n)
@@ -103,7 +94,7 @@ def soils() -> None:
             conditions = [Neumann(["left", "right"], 0), top, Dirichlet("bottom", 0)]
             solutions.append(solve(domain, Diffusion(f=0, kappa=soil, conditions=conditions)))
         solves = [solution.outcome.details["linear_solves"] for solution in solutions]
-        q = -solutions[-1].flux_through("top") / (2 * HEIGHT / CELLS) / soil.K
+        q = -solutions[-1].flux_through("top") / width / soil.K
         others = f"{evaporation(soil):12.3e}{by_linear_elements(soil):12.3e}"
         print(f"{name:16}{solves[0]:6}{solves[1]:6}{solves[2]:6}{q:12.3e}{others}", flush=True)
 
@@ -132,7 +123,7 @@ def row(name: str, what: str) -> str:
     problem = Diffusion(kappa=VanGenuchten(K, alpha, n, theta_r, theta_s), f=0, conditions=conditions)
     solves, halved, balance = [], 0, 0.0
     try:
-        for step in evolve(column(1.0, [1, LAYERS]), problem, Evolution(end, STEPS, initial=first)):
+        for step in evolve(box([0, 0], [1 / LAYERS, 1], [1, LAYERS]), problem, Evolution(end, STEPS, initial=first)):
             solves.append(step.numbers["linear_solves"])
             halved += step.numbers["parts"] > 1
             balance = max(balance, step.numbers["mass_error"])

@@ -2,11 +2,11 @@
 
 import pytest
 from elastic import box
-from makers.bodies import energy_difference
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Elasticity, Neumann, Tresca
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.comparing.comparison import differences
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -27,6 +27,6 @@ def test_near_the_error(g: str, u_D: list[str], sharp: float):
     """It is above the distance to a solution on a mesh 4 times as fine; where the body slips and where it sticks."""
     given = Elasticity(1.0, 0.3, u_D=u_D, conditions=[Contact("y0", friction=Tresca(g)), Neumann(["x0", "x1"], 0)])
     coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), given) for n in (5, 20))
-    certificate, error = certify(coarse), energy_difference(coarse, fine)
+    certificate, error = certify(coarse), differences(coarse, fine).energy
     assert certificate.guaranteed
     assert error < certificate.sigma_bound < sharp * error

@@ -8,7 +8,6 @@ import pytest
 from commands import run
 from makers.scalar import examine, random_problem
 
-from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.solving.solver import solve
 
 MANY_RUNS = """
@@ -37,12 +36,8 @@ def test_rounding_in_the_facet_system():
     assert result.good, result
     words = "by the saddle point, because the facet system left KKT residuals above 1e-08: "
     assert f"{words}stationarity" in result.ending
-    case, domain, problem, _ = random_problem(65)
-    solution = solve(
-        domain,
-        replace(problem, obstacle=-0.01, boundary=case.posed(domain.mesh.geometry.dim).boundary),
-        options_of(case),
-    )
+    domain, problem, options, _ = random_problem(65)
+    solution = solve(domain, replace(problem, obstacle=-0.01), options)
     assert words in solution.outcome.reason
 
 
