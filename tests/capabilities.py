@@ -252,7 +252,7 @@ def _of_0_4() -> Iterator[Capability]:
         if folder.name != "moving_transition":
             finer = ("solve", folder.name, *STRUCTURED, "--h", "1/3", "--output", "finer")
             both = ("compare", str(folder), "finer", "--output", "out")
-            yield Capability(f"compare {folder.name} of 0.4", (finer, both), slow=folder.name == "lprism")
+            yield Capability(f"compare {folder.name} of 0.4", (finer, both), slow=folder.name in ("lprism", "sphere"))
 
 
 def capabilities() -> list[Capability]:
@@ -260,11 +260,11 @@ def capabilities() -> list[Capability]:
     return [*_shipped(), *_methods(), *_rare(), *_of_0_4()]
 
 
-ON_THREE_RANKS = (*("example2", "crack", "transition3d --h 1/3 --set", "sphere", "two_obstacles", "hertz", "coulomb"),)
+ON_THREE_RANKS = ("example2", "crack", "sphere", "hertz")
 """Words in the names of capabilities that are also run on three ranks, each the first with it."""
 ON_TWO_RANKS = (
     *("example6", "electropainting", "dam_baiocchi", "phases", "block.toml", "space.toml", "read_off.toml"),
-    *("seepage_falling", "pushed.toml"),
+    *("seepage_falling", "pushed.toml", "transition3d --h 1/3 --set", "two_obstacles", "coulomb"),
     *("transition3d --h 1/3 --element", "regulator --h 1/8 --element", "fault --element"),
     *("alg3", "snes1", "snes2", "--algorithm vi", "qp", "psor", "mixed-uzawa-h12", "--backend mixed", "--rigorous"),
     *("--for-signorini", "solve.max_iterations=1", "--start-from", "export out", "restart", "restart of a storage"),

@@ -1,12 +1,15 @@
-"""Cases for tests: small ones of their own, and shipped ones with other values; and a law."""
+"""Cases for tests: small ones of their own, and shipped ones with other values; a law, and options of PETSc."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from capabilities import CASES
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
@@ -68,6 +71,19 @@ def make_case(
         path.write_text(CASE.format(shape=shape, mesh=mesh, parts=parts, f=f, h=h), encoding="utf-8")
     COMM.Barrier()
     return load_case(path)
+
+
+@contextmanager
+def petsc_options(**given: object) -> Iterator[PETSc.Options]:
+    """Options of PETSc, for a while."""
+    options = PETSc.Options()
+    for name, value in given.items():
+        options[name] = value
+    try:
+        yield options
+    finally:
+        for name in given:
+            options.delValue(name)
 
 
 def case_of(solution: Solution) -> Case:

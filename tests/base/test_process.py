@@ -12,13 +12,8 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import api
-from signorini_fenicsx.api import certify
-from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx import Domain, NumericalFailure, Options, Solver, api, certify, solve
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import Solver, solve
 
 
 def square() -> Domain:

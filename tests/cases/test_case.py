@@ -5,9 +5,7 @@ from pathlib import Path
 import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.shipped import case_names
-from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx import InputError, load_case
 from signorini_fenicsx.cases.complaints import naming
 from signorini_fenicsx.cases.domains import LastMesh
 from signorini_fenicsx.physics.diffusion.case import Case
@@ -24,68 +22,6 @@ f = "x*y"
 algorithm = "alg2"
 h = "1/8"
 """
-
-
-def test_examples_are_shipped():
-    examples = [f"example{i}" for i in range(1, 7)]
-    exact = ["biactive", "singular", "singular3d", "transition", "transition3d"]
-    exact += ["crack", "fault", "friction", "two_sided", "wall", "regulator", "staircase"]
-    exact += ["dead_core", "melting", "phases", "saturation", "thawing", "two_obstacles"]
-    assert case_names() == sorted(
-        [
-            *examples,
-            *exact,
-            "bar",
-            "celia",
-            "confined_cylinder",
-            "cylinders",
-            "two_spheres",
-            "electropainting_growth",
-            "drawdown",
-            "earth_dam",
-            "heat_sink",
-            "hillslope",
-            "soil_column",
-            "tracy_box",
-            "vauclin",
-            "membrane",
-            "membrane_steady",
-            "mindlin",
-            "mindlin3d",
-            "moving_transition",
-            "muskat",
-            "outlet",
-            "oxygen",
-            "seepage_falling",
-            "slip",
-            "ball",
-            "clamp",
-            "cube",
-            "dam",
-            "dam_baiocchi",
-            "duct",
-            "edge",
-            "electropainting",
-            "filter",
-            "hertz",
-            "joint",
-            "lprism",
-            "plate",
-            "plate_tresca",
-            "rock",
-            "rock_joint",
-            "soil",
-            "sphere",
-            "lap_joint",
-            "press_fit",
-            "roller",
-            "sliding_block",
-            "stack",
-            "two_cylinders",
-        ]
-    )
-    for name in case_names():
-        assert load_case(name).name == name
 
 
 def test_good_case(tmp_path: Path):
@@ -122,7 +58,6 @@ def test_good_case(tmp_path: Path):
         ('f = "x*y"', "", r"missing key 'f' in \[problem\]"),
         ('"x*y"', '"x*q"', r"\[problem\] f: expression 'x\*q': unknown name 'q'"),
         ('"x*y"', '"__import__(1)"', "unknown function '__import__'"),
-        ('"x*y"', '"z"', "unknown name 'z'"),
         ('"x*y"', '"xy"', "unknown name 'xy'; known are pi, x, y"),
         ("title", "title = ", "not a TOML file"),
         ('"x*y"', "x*y", r"not a TOML file: .* 'f = x\*y'; texts are in quotation marks"),
@@ -144,16 +79,7 @@ def test_good_case(tmp_path: Path):
         ('shape = "square"', 'shape = "square"\nmesh = "fine"', "unknown mesh 'fine'"),
         ("[geometry]", "name = 'x'\n[geometry]", "unknown key 'name'"),
         ('"x*y"', "1" * 5000, "an integer of thousands of digits"),
-        ('"x*y"', "0x" + "f" * 5000, r"\[problem\] f: must be a number of at most 1000 bits"),
         ('h = "1/8"', "h = 0x" + "f" * 5000, r"\[solve\] h: must be a number of at most 1000 bits"),
-        ('h = "1/8"', f'h = "{"1" * 5000}"', "is not a number such as"),
-        (
-            'h = "1/8"',
-            "max_iterations = 0x" + "f" * 400,
-            r"\[solve\] max_iterations: must be a number of at most 1000 bits",
-        ),
-        ('"x*y"', f'"{"1" * 1999}"', "is not arithmetic|cannot be evaluated|not finite"),
-        ('"x*y"', f'"1 if {" < ".join(["x"] * 300)} else 2"', "is nested too deeply"),
         ('"x*y"', f'"1 if {"not " * 480} x > 0 else 2"', "is nested too deeply"),
     ],
 )

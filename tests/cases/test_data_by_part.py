@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from signorini_fenicsx import Diffusion, Dirichlet, Neumann, Signorini, solve
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx import Diffusion, Dirichlet, InputError, Neumann, Signorini, load_case, solve, solve_case
 from signorini_fenicsx.cases.inspection import check
-from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 BY_PART = """

@@ -8,11 +8,7 @@ from dolfinx import fem
 from dolfinx.mesh import create_unit_square
 from mpi4py import MPI
 
-from signorini_fenicsx import Contact, Diffusion, Elasticity, Signorini
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.solving.solver import Solver, solve
+from signorini_fenicsx import Contact, Diffusion, Domain, Elasticity, InputError, Signorini, Solver, domain_of, solve
 
 COMM = MPI.COMM_WORLD
 

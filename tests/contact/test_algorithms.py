@@ -1,6 +1,9 @@
 """The set rules as pure functions."""
 
+from collections.abc import Callable
+
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from signorini_fenicsx.base.errors import InputError
@@ -22,19 +25,21 @@ P = np.array([0.0, 1.0, -1.0, 0.0, 0.0])
 FLUX = np.array([0.0, 0.0, 0.0, 1.0, -1.0])
 
 
-def test_algorithm_1():
-    """Negative flux opens a facet, negative trace closes it, ties are in contact."""
-    np.testing.assert_array_equal(rule_1(P, FLUX, 1.0), [ZERO_TRACE, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
+@pytest.mark.parametrize(
+    ("rule", "kinds"),
+    [
+        (rule_1, [ZERO_TRACE, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX]),
+        (rule_2, [NO_FLUX, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX]),
+        (rule_3, [ROBIN, NO_FLUX, ROBIN, ROBIN, ROBIN]),
+        (rule_4, [ROBIN, ROBIN, ROBIN, ZERO_TRACE, ROBIN]),
+    ],
+)
+def test_rules(rule: Callable[..., npt.NDArray], kinds: list[Condition]):
+    """1: negative flux opens a facet, negative trace closes it, ties are in contact; 2: as 1, but ties are open.
 
-
-def test_algorithm_2():
-    """As for Algorithm 1, but ties are open."""
-    np.testing.assert_array_equal(rule_2(P, FLUX, 1.0), [NO_FLUX, NO_FLUX, ZERO_TRACE, ZERO_TRACE, NO_FLUX])
-
-
-def test_algorithm_3():
-    """Facets with p > 0 are open, ties are penalised."""
-    np.testing.assert_array_equal(rule_3(P, FLUX, 1.0), [ROBIN, NO_FLUX, ROBIN, ROBIN, ROBIN])
+    3: facets with p > 0 are open, 4: those with σ·n > 0 are in contact; in both ties are penalised.
+    """
+    np.testing.assert_array_equal(rule(P, FLUX, 1.0), kinds)
 
 
 def test_the_clip_of_algorithm_3():
@@ -43,11 +48,6 @@ def test_the_clip_of_algorithm_3():
     np.testing.assert_array_equal(
         clip_3(kind, np.array([-1.0, 1.0, -1.0, 0.0, 1.0])), [True, False, False, False, False]
     )
-
-
-def test_algorithm_4():
-    """Facets with σ·n > 0 are in contact, ties are penalised."""
-    np.testing.assert_array_equal(rule_4(P, FLUX, 1.0), [ROBIN, ROBIN, ROBIN, ZERO_TRACE, ROBIN])
 
 
 @pytest.mark.parametrize("penalty", Penalty)

@@ -8,18 +8,12 @@ import pytest
 from made_cases import Spring
 from mpi4py import MPI
 
-from signorini_fenicsx import Diffusion
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx import Corners, Diffusion, InputError, Options, TwoSided, certify, load_solution, solve
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Graph, Law, Values
-from signorini_fenicsx.contact.laws import Corners, TwoSided
 from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 

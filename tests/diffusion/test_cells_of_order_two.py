@@ -32,56 +32,41 @@ def of_case(name: str, h: float, comm: MPI.Comm = COMM, element: str = "RT1", **
 
 
 @pytest.mark.parametrize(
-    ("name", "order", "better"),
+    ("name", "order", "better", "most"),
     [
-        ("sphere", 1.45, 4),
-        ("two_obstacles", 1.4, 7),
-        ("saturation", 1.9, 40),
-        ("dead_core", 1.3, 7),
-        ("phases", 1.6, 40),
+        ("sphere", 1.45, 4, 1.9),
+        ("two_obstacles", 1.4, 7, 1.8),
+        ("saturation", 1.9, 40, 3.3),
+        ("dead_core", 1.3, 7, 2.3),
+        ("phases", 1.6, 40, 3.3),
     ],
 )
-def test_exact_solutions(name: str, order: float, better: float):
-    """Order 3/2 where a free boundary crosses cells, 2 where u is smooth, by few sets; far less error than RT0."""
+def test_exact_solutions(name: str, order: float, better: float, most: float):
+    """Order 3/2 where a free boundary crosses cells, 2 where u is smooth, by few sets; far less error than RT0.
+
+    The bound is above the error; on uniform meshes by what s is wrong in the cells that the free boundary crosses.
+    """
     h = 1 / 8 if name == "sphere" else 1 / 16
     found = [of_case(name, each) for each in (2 * h, h)]
     errors = [solution.errors()["sigma_L2"] for solution in found]
     assert math.log2(errors[0] / errors[1]) > order
     assert better * errors[1] < of_case(name, h, element="RT0").errors()["sigma_L2"]
     assert max(len(solution.outcome.history) for solution in found) <= 5
-
-
-@pytest.mark.parametrize(
-    ("name", "h", "most"),
-    [
-        ("sphere", 1 / 4, 2.4),
-        pytest.param("sphere", 1 / 8, 2.1, marks=pytest.mark.slow),
-        ("two_obstacles", 1 / 8, 1.05),
-        pytest.param("two_obstacles", 1 / 16, 2.3, marks=pytest.mark.slow),
-        ("saturation", 1 / 8, 2.9),
-        ("dead_core", 1 / 8, 2.2),
-        ("phases", 1 / 8, 2.8),
-    ],
-)
-def test_bound(name: str, h: float, most: float):
-    """It is above the error; on uniform meshes by what s is wrong in the cells that the free boundary crosses."""
-    case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h, "solve.element": "RT1"})
-    solution = solve_case(case)
-    certificate, error = solution.certify(), solution.errors()["energy"]
+    certificate, error = found[0].certify(), found[0].errors()["energy"]
     assert error < certificate.sigma_bound < most * error
-    assert certificate.guaranteed == (name != "phases" and (name, h) != ("sphere", 1 / 4))  # their data are coarse
+    assert certificate.guaranteed == (name not in ("phases", "sphere"))  # their data are coarse
 
 
 def test_adaptive_bound():
-    """On adapted meshes the bound is near the error, and ten times below that of RT0."""
+    """On adapted meshes the bound is near the error, and six times below that of RT0."""
     case = load_case("two_obstacles").with_values({"solve.h": 1 / 8})
-    solution, certificate = adapt_case(case, max_cells=2000)
+    solution, certificate = adapt_case(case, max_cells=1200)
     error = solution.errors()["energy"]
     assert solution.options.element == "RT1"
     assert error < certificate.sigma_bound < 1.4 * error
-    lowest, of_lowest = adapt_case(case.with_values({"solve.element": "RT0"}), max_cells=2000)
+    lowest, of_lowest = adapt_case(case.with_values({"solve.element": "RT0"}), max_cells=1200)
     assert lowest.options.element == "RT0"
-    assert 10 * certificate.bound < of_lowest.bound
+    assert 6 * certificate.bound < of_lowest.bound
 
 
 def test_signs_at_vertices():

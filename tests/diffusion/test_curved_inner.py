@@ -7,10 +7,7 @@ import pytest
 from exact import energy_error
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx import InputError, certify, load_case, solve_case
 
 COMM = MPI.COMM_WORLD
 GEO = """

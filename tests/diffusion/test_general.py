@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,12 @@ from made_cases import make_case
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx import Diffusion, InputError, Neumann, Signorini, certify, solve, solve_case
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 METHODS = ("alg1", "alg2", "alg3", "alg4", "snes1", "snes2", "vi")
@@ -69,20 +65,16 @@ def test_affine_solutions(folder: Path):
         assert certify(solution).bound < 1e-5, algorithm  # a trace of 1e-12 counts linearly
 
 
-def manufactured(x: Expr, kappa: Expr) -> tuple[Expr, Problem]:
+def manufactured(x: Expr) -> Diffusion:
     """The solution u = s₊³ − y s₋³ + ψ, s = x − 0.413,: contact for s < 0 on the bottom, Γ_N on the right."""
+    kappa = (1 + x[0] / 2) * ufl.as_matrix([[2, 0.5], [0.5, 1]])
     s = x[0] - 0.413
     psi = 0.3 * ufl.sin(2 * x[0]) + 0.2 * x[0] * x[1]
     plus, minus = ufl.max_value(s, 0), ufl.max_value(-s, 0)
     u = plus**3 - x[1] * minus**3 + psi
     flux = kappa * ufl.grad(u)
-    return u, Problem(f=-ufl.div(flux), kappa=kappa, u_D=u, g_N=flux[0], psi=psi, q_S=-flux[1] - minus**3)
-
-
-def conductivities(x: Expr) -> list[Expr]:
-    """A matrix, a varying scalar, a varying matrix."""
-    matrix = ufl.as_matrix([[2, 0.5], [0.5, 1]])
-    return [matrix, 1 + x[0] * x[1], (1 + x[0] / 2) * matrix]
+    conditions = [Signorini("bottom", psi, -flux[1] - minus**3), Neumann("right", flux[0])]
+    return Diffusion(f=-ufl.div(flux), kappa=kappa, u_D=u, exact=u, conditions=conditions)
 
 
 def energy_error(solution: Solution, u: Expr) -> float:
@@ -93,32 +85,24 @@ def energy_error(solution: Solution, u: Expr) -> float:
     return math.sqrt(solution.spaces.integrate(ufl.inner(ufl.inv(kappa) * difference, difference) * dx))
 
 
-@pytest.mark.parametrize("which", [*(pytest.param(which, marks=pytest.mark.slow) for which in (0, 1)), 2])
-def test_manufactured_solutions(folder: Path, which: int):
+def test_manufactured_solutions():
     """Order 1 in σ, u and p, a certified bound that is true and sharp, and the free boundary within a facet."""
-    case = make_case(folder, mesh="structured", parts=["bottom"], f="0", h=0.3)
-    case = case.with_values({"boundary.neumann": ["right"]})
     errors = []
-    for h in (1 / 8, 1 / 16, 1 / 32):
-        domain = mesh_case(case.with_values({"solve.h": h}), COMM)
-        x = ufl.SpatialCoordinate(domain.mesh)
-        u, problem = manufactured(x, conductivities(x)[which])
-        solution = solve(domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary))
+    for h in (1 / 8, 1 / 16):
+        domain = build_domain(COMM, "square", h, mesh="structured")
+        problem = manufactured(ufl.SpatialCoordinate(domain.mesh))
+        u, solution = problem.exact, solve(domain, problem)
         certificate, spaces = certify(solution), solution.spaces
         error = energy_error(solution, u)
         assert error < certificate.sigma_bound < 1.25 * error
-        known = solve(
-            domain, replace(problem, exact=u, boundary=case.posed(domain.mesh.geometry.dim).boundary)
-        ).errors()
-        assert known is not None
-        assert known["energy"] == pytest.approx(error, rel=1e-3)
+        assert solution.errors()["energy"] == pytest.approx(error, rel=1e-3)
         assert abs(solution.contact.measure - 0.413) < domain.h ** (2 / 3)  # the flux errs by O(h²) where it is s³
         dx, ds = (measure(metadata={"quadrature_degree": 8}) for measure in (ufl.dx, spaces.ds))
         others = [spaces.integrate(form) for form in (l2(u - solution.u, dx), l2(u - solution.p, ds))]
         errors.append([error, *np.sqrt(others)])
     orders = np.log2(np.array(errors)[:-1] / np.array(errors)[1:])
     assert np.all(orders > 0.93)
-    assert np.all(np.array(errors[-1]) < [0.03, 0.01, 0.02])
+    assert np.all(np.array(errors[-1]) < [0.06, 0.02, 0.04])
 
 
 @pytest.mark.parallel([1, 2])
@@ -129,6 +113,7 @@ def test_backends_agree(folder: Path):
         "problem.psi": "0.02*sin(9*x) - 0.01",
         "problem.q_S": "-0.3*cos(7*x)",
         "problem.g_N": "x - y",
+        "problem.u_D": "(sin(3*x)*y + abs(x - 0.7))/99",
         "boundary.neumann": ["right", "top"],
     }
     for shape, algorithm in itertools.product(("lshape", "cube"), METHODS[:4] if COMM.size == 1 else ("alg3",)):
@@ -181,10 +166,23 @@ def test_bad_data(folder: Path):
         ("kappa", "1/(x - x)", "cannot be evaluated|not finite"),
         ("kappa", {"rock": "1"}, "unknown region 'rock' of the mesh; it has none"),
         ("psi", "log(-1 - x)", "psi: not finite everywhere on Γ_S"),
+        ("u_D", "1e-9*log((x - 1)**2 + y**2)", "u_D: not finite everywhere on Γ_D"),  # in a corner, which is no
+        ("psi", "log(x)", "psi: not finite everywhere on Γ_S"),  # quadrature point
         ("q_S", "1e200", "q_S: its largest value"),
     ]:
         with pytest.raises(InputError, match=message):
             solve_case(case.with_values({f"problem.{key}": value}), COMM)
+    nowhere = "sqrt(x - 2)"
+    for name, value in [
+        ("f", f"0*{nowhere}"),
+        ("kappa", f"{nowhere}^0"),
+        ("c", f"1 if {nowhere} > 0 else 2"),
+        ("psi", "0*exp(1e5*(x + 1))"),
+        ("psi", f"abs(0*{nowhere})"),
+    ]:
+        with pytest.raises(InputError, match=f"{name}: not finite everywhere"):
+            solve_case(case.with_values({f"problem.{name}": value}), COMM)
+    assert solve_case(case.with_values({"problem.f": f"1 if x > 2 and {nowhere} > 0 else 0*x"}), COMM).converged
     for key, where in (("problem.u_D", "in the cells at Γ_D"), ("exact.u", "in the domain")):
         with pytest.raises(InputError, match=f"its gradient is not finite everywhere {where}"):
             solve_case(case.with_values({key: "sqrt(max(0, x - 0.5))"}), COMM)

@@ -19,14 +19,13 @@ from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.cut import Side, opened
-from signorini_fenicsx.meshes.domain import Boundary, other_side
+from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.grids import Share, tetrahedron_grid, triangle_grid
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
@@ -211,5 +210,3 @@ def test_solvers_that_are_refused():
         solve_case(case.with_values({"solve.algorithm": "alg3"}), domain=mesh)
     with pytest.raises(InputError, match="'slit' is inside the domain: it belongs to inner, with a law"):
         Solver(mesh, Diffusion(0, conditions=[Signorini("top")]))
-    with pytest.raises(InputError, match="inner: the mesh is not cut along 'top'"):
-        Solver(mesh, Problem(0, boundary=Boundary(["top", "slit"], inner=["top", "slit"])))

@@ -10,18 +10,13 @@ import ufl
 from made_cases import make_case
 from mpi4py import MPI
 
-from signorini_fenicsx import Diffusion, Signorini
+from signorini_fenicsx import Diffusion, InputError, Signorini, certify, load_case, solve, solve_case
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 U = "max(x - 0.413, 0)^3 - y*max(0.413 - x, 0)^3"

@@ -11,10 +11,7 @@ from exact import X0, F, exact_sigma, exact_u
 from made_cases import make_case
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.contact.chains import Condition
+from signorini_fenicsx import NumericalFailure, load_case, solve_case
 from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.forms.mixed import Fields, mlm_1, mlm_2
 from signorini_fenicsx.forms.norms import l2
@@ -22,8 +19,6 @@ from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD
-
-CASES = ["example1", "example2", "example3", "example4", "example5", "example6"]
 
 
 def coarse(name: str, **values: object) -> Case:
@@ -51,22 +46,21 @@ def errors(solution: Solution) -> dict[str, float]:
 def test_order_on_an_exact_solution(folder: Path, mesh: str, backend: str):
     """Order 1 and small constants in all norms; u and σ·n grow like s³ from the free boundary, which is less exact."""
     found = []
-    for h in (1 / 8, 1 / 16, 1 / 32):
+    for h in (1 / 8, 1 / 16):
         case = make_case(folder, mesh=mesh, parts=["bottom"], f=F, h=h)
         solution = solve_case(case.with_values({"solve.backend": backend}), COMM)
         found.append((solution.spaces.domain.h, errors(solution)))
         assert abs(solution.contact[1] - X0) < 0.6 * h**0.5
-    for (h0, coarse_errors), (h1, fine_errors) in itertools.pairwise(found):
-        for name, bound in {"sigma": 0.11, "u": 0.0065, "p": 0.0125, "div": 0.7}.items():
-            order = np.log(coarse_errors[name] / fine_errors[name]) / np.log(h0 / h1)
-            assert order > 0.93, name
-            assert fine_errors[name] < bound * h1, name
+    (h0, coarse_errors), (h1, fine_errors) = found
+    for name, bound in {"sigma": 0.11, "u": 0.0065, "p": 0.0125, "div": 0.7}.items():
+        assert np.log(coarse_errors[name] / fine_errors[name]) / np.log(h0 / h1) > 0.93, name
+        assert fine_errors[name] < bound * h1, name
 
 
 def test_algorithms_agree():
     """Algorithms 1 and 2 find the same sets and fields in a few steps, for any ρ."""
     other_ways = [{"solve_algorithm": "alg2"}, {"solve_algorithm": "alg1", "solve_rho": 1e3}]
-    for name in CASES:
+    for name in ("example2", "example6"):
         first = solve_case(coarse(name, solve_algorithm="alg1"))
         for values in other_ways:
             other = solve_case(coarse(name, **values), domain=first.spaces.domain)
@@ -102,44 +96,15 @@ INDEPENDENT = {
 }
 
 
-PENALTIES = [
-    pytest.param(name, algorithm, marks=() if name in ("example2", "example4") else pytest.mark.slow)
-    for name in CASES
-    for algorithm in ("alg3", "alg4")
-]
-
-
-@pytest.mark.parametrize(("name", "algorithm"), [*((name, "alg1") for name in CASES), *PENALTIES])
-def test_independent_values(name: str, algorithm: str):
+@pytest.mark.parametrize("name", INDEPENDENT)
+def test_independent_values(name: str):
     """At h = 2^-6 norms within 0.5 %, contact measure within two facets of another program's."""
-    solution = solve_case(coarse(name, solve_h=2**-6, solve_algorithm=algorithm, solve_eps=1e-8))
+    solution = solve_case(coarse(name, solve_h=2**-6))
     norms = solution.norms()
     found = [norms[key] for key in ("sigma_L2", "u_L2", "p_L2", "flux_L2")]
     assert found == pytest.approx(INDEPENDENT[name][:4], rel=5e-3)
     assert solution.contact[1] == pytest.approx(INDEPENDENT[name][4], abs=2 * solution.spaces.facet_measure.max())
     assert solution.contact[1] == pytest.approx(INDEPENDENT[name][4], rel=0.03)
-
-
-@pytest.mark.parametrize("mesh", ["unstructured", "structured"])
-def test_contact_conditions(mesh: str):
-    solution = solve_case(coarse("example1", geometry_mesh=mesh), COMM)
-    size = len(solution.spaces.facets)
-    p, flux = solution.p.x.array[:size], solution.spaces.normal_flux(solution.sigma)
-    contact = solution.outcome.conditions.kind == Condition.ZERO_TRACE
-    assert np.all(p[contact] == 0)
-    assert np.all(flux[contact] >= 0)
-    assert np.all(p[~contact] >= 0)
-    assert np.all(np.abs(flux[~contact]) < 1e-14)
-    assert solution.kkt.violation() is None
-    assert max(vars(solution.kkt).values()) < 1e-12
-
-
-def test_cell_mass_balance():
-    solution = solve_case(coarse("example3"), COMM)
-    divergence = fem.Function(solution.spaces.Q)
-    points = solution.spaces.Q.element.interpolation_points
-    divergence.interpolate(fem.Expression(ufl.div(solution.sigma), points))
-    np.testing.assert_allclose(divergence.x.array, -solution.data.f_h.x.array, atol=1e-12)
 
 
 @pytest.mark.parallel([1, 3])
@@ -148,16 +113,6 @@ def test_no_load_no_solution_needed(folder: Path):
     solution = solve_case(make_case(folder, parts=["top"], f="0", h=0.25), COMM)
     assert max(solution.norms().values()) == 0
     assert solution.converged
-
-
-@pytest.mark.parallel([1, 2])
-def test_cube(folder: Path):
-    for mesh in ("structured", "unstructured"):
-        case = make_case(folder, shape="cube", mesh=mesh, parts=["bottom", "left"], f="40*(x - 0.5)", h=0.4)
-        first = solve_case(case, COMM)
-        second = solve_case(case.with_values({"solve.algorithm": "alg2"}), COMM, domain=first.spaces.domain)
-        np.testing.assert_allclose(first.sigma.x.array, second.sigma.x.array, atol=1e-12)
-        assert 0 < first.contact[1] < 2
 
 
 @pytest.mark.parallel([1, 2])

@@ -1,14 +1,10 @@
-"""Storage in time: Stefan's problem with one and two phases, oxygen, soil; contents, bounds of steps, restarts."""
+"""Storage in time: Stefan's problem with one and two phases, oxygen, soil; contents, bounds of steps."""
 
 import itertools
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import signorini
-from in_time import ending_after
 from makers.bounds import difference
 from mpi4py import MPI
 
@@ -176,15 +172,3 @@ def test_the_start_within_cells_is_in_the_bound(capacity: dict[str, object] | st
     problem = Diffusion(f=1, conditions=[Neumann("top")])
     one, other = (next(iter(evolve(domain, problem, Evolution(0.05, 1, u_0, capacity)))) for domain in (coarse, fine))
     assert StepBounds().certify(one).sigma_bound > difference(one.solution, other.solution)
-
-
-def test_restart(tmp_path: Path):
-    """A run that ends after step 3 goes on there: with the θ that was selected, so that all numbers are the same."""
-    settings = ["solve", "thawing", "--h", "1/8", "--set", "time.steps=6", "--quiet"]
-    with ending_after(3):
-        assert signorini(tmp_path, *settings, "--output", "x").returncode == 1
-    assert signorini(tmp_path, *settings, "--output", "x", "--restart").returncode == 0
-    assert signorini(tmp_path, *settings, "--output", "whole").returncode == 0
-    one, other = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("x", "whole"))
-    assert one["norms"] == pytest.approx(other["norms"], rel=1e-12)
-    assert one["regions"] == other["regions"]

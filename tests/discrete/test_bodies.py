@@ -7,8 +7,7 @@ import pytest
 from meeting_parts import crossed_square
 from mpi4py import MPI
 
-from signorini_fenicsx.cases.solving import evolve_case, solve_case
-from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx import certify, evolve_case, solve_case
 from signorini_fenicsx.discrete.bodies import bodies, spread
 from signorini_fenicsx.physics.diffusion.case import Case
 

@@ -9,13 +9,11 @@ import pytest
 from commands import signorini
 from mpi4py import MPI
 
-from signorini_fenicsx import Contact, Diffusion, Dirichlet, Elasticity, Neumann, Signorini, solve
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx import Contact, Diffusion, Dirichlet, Domain, Elasticity, InputError, Neumann, Signorini, solve
 from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.discrete.unjoined import check_joined
 from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours
 from signorini_fenicsx.meshes.cut import cut
-from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.whole import handed_out
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from made_cases import petsc_options
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx import NumericalFailure, load_case, solve_case
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.residuals import relative
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix, Imposed
 from signorini_fenicsx.linear.facet_solver import FacetSolver
@@ -31,17 +30,11 @@ def test_an_early_end_is_no_solution(given: str, algorithm: str):
     """Either the run fails, or its fields are those without the options."""
     case = load_case("example1").with_values({"solve.h": 1 / 6, "solve.algorithm": algorithm})
     expected = solve_case(case)
-    options = PETSc.Options()
-    chosen = dict(entry.split("=") for entry in given.split())
-    for name, value in chosen.items():
-        options[name] = value
-    try:
-        found = solve_case(case, domain=expected.spaces.domain, tuning=Tuning(predict_from=0))
-    except NumericalFailure:
-        return
-    finally:
-        for name in chosen:
-            options.delValue(name)
+    with petsc_options(**dict(entry.split("=") for entry in given.split())):
+        try:
+            found = solve_case(case, domain=expected.spaces.domain, tuning=Tuning(predict_from=0))
+        except NumericalFailure:
+            return
     largest = np.abs(expected.sigma.x.array).max()
     np.testing.assert_allclose(found.sigma.x.array, expected.sigma.x.array, atol=1e-6 * largest)
 
@@ -71,13 +64,9 @@ def test_gmres_without_more_steps_is_not_at_its_end():
 
 def test_nothing_is_no_solution_of_a_problem_with_loads():
     """With σ = 0 and u = 0 there is no size to compare with; the residual is not 0."""
-    options = PETSc.Options()
-    options["snes_atol"] = 1
-    try:
-        with pytest.raises(NumericalFailure, match="KKT residuals above 1e-08: mass_balance inf"):
-            solve_case(load_case("example1").with_values({"solve.h": 1 / 6, "solve.algorithm": "snes1"}))
-    finally:
-        options.delValue("snes_atol")
+    case = load_case("example1").with_values({"solve.h": 1 / 6, "solve.algorithm": "snes1"})
+    with petsc_options(snes_atol=1), pytest.raises(NumericalFailure, match="above 1e-08: mass_balance inf"):
+        solve_case(case)
 
 
 def test_relative_sizes():

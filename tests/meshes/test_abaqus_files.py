@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import checked
 from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.meshio_files import read_with_meshio
 
 SQUARES = """*HEADING
 Two by two squares in triangles
@@ -50,7 +52,7 @@ def places(folder: Path, text: str) -> dict[str, list[tuple[float, ...]]]:
     """The middles of the facets of each part, ascending."""
     path = folder / "mesh.inp"
     path.write_text(text, encoding="utf-8")
-    mesh = read_mesh_file(str(path))
+    mesh = checked(read_with_meshio(path))
     middles = {name: np.round(mesh.points[facets].mean(axis=1), 9) for name, facets in mesh.parts.items()}
     return {name: sorted(map(tuple, rows.tolist())) for name, rows in middles.items()}
 

@@ -8,8 +8,7 @@ import pytest
 from commands import signorini
 from mpi4py import MPI
 
-from signorini_fenicsx import domain_of_bodies
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx import InputError, domain_of_bodies
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.meshes.bodies import Bodies, Body
 from signorini_fenicsx.meshes.meshing import build_domain, own_domain

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from commands import signorini
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx import InputError, load_case
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import MeshFile

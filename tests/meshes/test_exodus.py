@@ -9,7 +9,9 @@ import pytest
 from scipy.io import netcdf_file
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import checked
 from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.meshio_files import read_with_meshio
 
 SQUARE = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 CUBE = [*SQUARE, *[[x, y, 1] for x, y, _ in SQUARE]]
@@ -58,7 +60,8 @@ def written(path: Path, data: dict[str, Any], types: list[str]) -> str:
 
 def places(path: Path, points: Any, blocks: list[tuple[str, Any]], sides: dict[str, Any], nodes: Any = ()) -> Any:
     """The middles of the facets of each part."""
-    mesh = read_mesh_file(written(path, exodus(points, blocks, sides, dict(nodes)), [kind for kind, _ in blocks]))
+    file = Path(written(path, exodus(points, blocks, sides, dict(nodes)), [kind for kind, _ in blocks]))
+    mesh = checked(read_with_meshio(file))
     return {name: mesh.points[facets].mean(axis=(0, 1)).round(6).tolist() for name, facets in mesh.parts.items()}
 
 
@@ -102,7 +105,7 @@ def test_blocks_and_sets(tmp_path: Path, ending: str):
     nodes = {"bottom": [1, 2, 5], "right": [3, 4, 6]}
     found = places(path, points, blocks, sides, nodes)
     assert found == {"right": [2, 0.5], "2": [0, 0.5], "fault": [1, 0.5], "bottom": [1, 0]}
-    regions = read_mesh_file(str(path)).regions
+    regions = checked(read_with_meshio(path)).regions
     assert {name: len(cells) for name, cells in regions.items()} == {"10": 2, "11": 2}
 
 
@@ -130,4 +133,4 @@ def test_refusals(tmp_path: Path, kind: str, points: Any, sides: Any, message: s
         places(tmp_path / "mesh.e", points, [(kind, [corners])], sides)
     (tmp_path / "mesh.e").write_bytes(b"CDF\x05")
     with pytest.raises(InputError, match="is no Exodus file of netCDF-3 or netCDF-4"):
-        read_mesh_file(str(tmp_path / "mesh.e"))
+        read_with_meshio(tmp_path / "mesh.e")

@@ -12,17 +12,13 @@ from dolfinx import io
 from made_cases import case_of
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx import InputError, adapt_case, compare, load_case, load_solution, solve_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
-from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -157,17 +153,6 @@ def test_xdmf_of_dolfinx(folder: Path):
     assert len(read.regions["0"]) + len(read.regions["1"]) == len(read.cells)
 
 
-def test_a_named_shape_from_a_file_has_the_same_solution(tmp_path: Path):
-    case = square_case(tmp_path, n=8)
-    own = solve_case(case)
-    values = {"boundary.signorini": ["bottom"], "problem.f": case.problem.f, "solve.h": 2**0.5 / 8 * 1.001}
-    named = solve_case(load_case("example1").with_values(values | {"geometry.mesh": "structured"}))
-    assert own.norms() == pytest.approx(named.norms(), rel=1e-12)
-    assert own.contact == pytest.approx(named.contact, rel=1e-12)
-    result = compare(own, named)
-    assert max(result.hausdorff, *vars(result.norms).values()) < 1e-10
-
-
 @pytest.mark.parallel(2)
 def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
     """Solve, write, read on one rank, refine: facets, regions and numbers are those of one rank."""
@@ -210,11 +195,10 @@ def check_cube(solution: Solution) -> None:
     assert sum(map(len, domain.regions.values())) == size
 
 
-@pytest.mark.parametrize("scale", [1e-12, pytest.param(1e12, marks=pytest.mark.slow)])
-def test_any_unit_of_length(tmp_path: Path, scale: float):
-    """Scaling lengths by 1e±12 changes only lengths, in solving, comparing and refining."""
+def test_any_unit_of_length(tmp_path: Path):
+    """Scaling lengths by 1e-12 changes only lengths, in solving, comparing and refining."""
     found = []
-    for s in (1.0, scale):
+    for s in (1.0, 1e-12):
         solutions = []
         for n in (4, 7):
             nodes, elements = square_msh(n)
@@ -312,42 +296,3 @@ def test_a_geometry_runs_no_commands(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(InputError, match=message):
         read_mesh_file("a.geo")
     assert not (tmp_path / "hacked").exists()
-
-
-@pytest.mark.parallel([1, 2])
-def test_seepage_through_the_dam():
-    """Water leaves the face only just above the downstream level, and inflow and outflow are equal."""
-    solution = solve_case(load_case("dam"), COMM)
-    spaces = solution.spaces
-    y = dolfinx.mesh.compute_midpoints(spaces.mesh, 1, spaces.facets)[:, 1]
-    seeping = solution.contact_set().inside
-    gathered = np.concatenate(COMM.allgather(np.column_stack([y, seeping, spaces.normal_flux(solution.sigma)])))
-    level = gathered[gathered[:, 1] == 1, 0].max()
-    np.testing.assert_array_equal(gathered[:, 1] == 1, gathered[:, 0] <= level)
-    assert 2.5 < level < 5
-    assert gathered[:, 2].min() > -1e-12
-    rain = 0.002 * (2 * 2**0.5 + 4)  # on the top, from the upstream level to the face
-    through = sum(spaces.integrate(flux) for flux in boundary_fluxes(solution))
-    assert through == pytest.approx(rain, rel=1e-9)
-
-
-def boundary_fluxes(solution: Solution) -> list:
-    """Forms of the flux out of the domain through Γ_S and Γ_D."""
-    import ufl
-
-    out = ufl.dot(solution.sigma, solution.spaces.n)
-    return [out * solution.spaces.ds, out * solution.spaces.ds_dirichlet]
-
-
-@pytest.mark.parallel([1, 2])
-def test_electropainting_leaves_the_cavity_bare():
-    solution = solve_case(load_case("electropainting"), COMM)
-    spaces = solution.spaces
-    x = dolfinx.mesh.compute_midpoints(spaces.mesh, 2, spaces.facets)
-    bare = solution.contact_set().inside
-    deep = (np.abs(x[:, 0] - 1) < 0.16) & (x[:, 1] > 0.34) & (x[:, 2] > 0.6) & (x[:, 2] < 0.9)
-    outside = (x[:, 0] < 0.701) | (x[:, 0] > 1.299)
-    assert COMM.allreduce(int(deep.sum())) > 10
-    assert bare[deep].all()
-    assert not bare[outside].any()
-    np.testing.assert_allclose(spaces.normal_flux(solution.sigma)[~bare], -0.6, atol=1e-10)

@@ -13,20 +13,13 @@ from made_cases import case_of, make_case
 from measuring.methods import compare_methods, distance, mass_imbalance
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx import Domain, NumericalFailure, load_case, solve_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
-from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.solve.classical.mixed_uzawa import HalfNorm
-from signorini_fenicsx.physics.diffusion.solve.classical.projection import scattered_values
-from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 
 COMM = MPI.COMM_WORLD
 
@@ -54,7 +47,7 @@ def test_all_are_registered():
 
 def test_mixed_methods_equal_algorithm_1():
     """The Uzawa iterations, the interior-point method and SNESVI solve (MLM-I)_h, every unknown up to 1e-8."""
-    for name in (*(f"example{i}" for i in range(1, 7)), "transition"):
+    for name in ("example2", "example5", "transition"):
         exact = solve_case(example(name, h=1 / 4), COMM)
         for method in (*MIXED, "vi"):
             solution = solved(case_of(exact), method, exact.spaces.domain)
@@ -69,7 +62,7 @@ def test_primal_methods_solve_one_problem():
 
     Where u_D ≠ 0, (9a) holds up to the error of u_D by its vertex values.
     """
-    for name in ("example1", "example5", "example6", "transition"):
+    for name in ("example6", "transition"):
         first = solve_case(example(name, h=1 / 4, algorithm="primal-pdas"), COMM)
         for method in PRIMAL:
             solution = solved(case_of(first), method, first.spaces.domain)
@@ -84,32 +77,20 @@ def test_primal_methods_solve_one_problem():
             assert mass_imbalance(solution) > 0.1
 
 
-@pytest.mark.slow
-def test_cube(folder: Path):
-    case = make_case(folder, shape="cube", parts=["bottom", "left"], f="40*(x - 0.5)", h=0.5)
-    exact = solve_case(case, COMM)
-    for method in MIXED:
-        assert distance(solved(case, method, exact.spaces.domain), exact) < 1e-8, method
-    first = solved(case, "primal-pdas", exact.spaces.domain)
-    for method in PRIMAL:
-        assert distance(solved(case, method, exact.spaces.domain), first) < 1e-8, method
-    assert 0 < first.contact[1] < 2
-
-
 def test_primal_order_on_an_exact_solution(folder: Path):
     """P1 with σ projected to RT0 and u by its cell means is of order 1 in both."""
     found = []
-    for h in (1 / 8, 1 / 16, 1 / 32):
+    for h in (1 / 8, 1 / 16):
         case = make_case(folder, parts=["bottom"], f=F, h=h).with_values({"solve.algorithm": "primal-pdas"})
         solution = solve_case(case, COMM)
         spaces, x = solution.spaces, ufl.SpatialCoordinate(solution.spaces.mesh)
         dx = ufl.Measure("dx", domain=spaces.mesh, metadata={"quadrature_degree": 8})
         squares = (l2(exact_sigma(x) - solution.sigma, dx), l2(exact_u(x) - solution.u, dx))
         found.append((spaces.domain.h, [math.sqrt(spaces.integrate(square)) for square in squares]))
-    for (h0, coarse), (h1, fine) in itertools.pairwise(found):
-        for error0, error1, bound in zip(coarse, fine, (0.13, 0.0065), strict=True):
-            assert math.log(error0 / error1) / math.log(h0 / h1) > 0.93
-            assert error1 < bound * h1
+    (h0, coarse), (h1, fine) = found
+    for error0, error1, bound in zip(coarse, fine, (0.13, 0.0065), strict=True):
+        assert math.log(error0 / error1) / math.log(h0 / h1) > 0.93
+        assert error1 < bound * h1
 
 
 @pytest.mark.slow
@@ -202,40 +183,6 @@ def test_range_of_rho(method: str, outside: float):
     with pytest.raises(NumericalFailure, match="outside of its range") as failed:
         solved(case, method, automatic.spaces.domain, rho=outside * limit, max_iterations=300)
     assert failed.value.solution is not None
-
-
-@pytest.mark.parametrize("by_flux", [False, True])
-def test_range_is_that_of_all_eigenvalues(by_flux: bool):
-    """2/λ_max by power iterations is that of the full matrix of the Dirichlet-to-Neumann map or its inverse."""
-    solution = solve_case(example("example5", h=1 / 4, algorithm="mixed-uzawa1" if by_flux else "mixed-uzawa2"))
-    spaces = solution.spaces
-    system = MixedBackend(spaces, solution.data)
-    given = SiteConditions.everywhere(Condition.NO_FLUX if by_flux else Condition.ZERO_TRACE, len(spaces.facets))
-    columns = []
-    for unit in np.eye(len(spaces.facets)):
-        response = system.respond(given, flux=unit, trace=unit, loaded=False)
-        columns.append(response.p if by_flux else response.flux)
-    root = np.sqrt(spaces.facet_measure)
-    matrix = root[:, None] * np.array(columns).T / root
-    np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
-    assert solution.outcome.details["rho_limit"] == pytest.approx(2 / np.linalg.eigvalsh(matrix)[-1], rel=0.03)
-
-
-@pytest.mark.parallel([1, 2])
-def test_half_norm(folder: Path):
-    """R is the Riesz map; the projection satisfies its variational inequality; max(0, z) is farther away."""
-    cube = make_case(folder, shape="cube", parts=["bottom", "left"], f="1", h=0.5)
-    for case in (example("example2"), example("example6"), cube):
-        spaces = solve_case(case, COMM).spaces
-        half, e = HalfNorm(spaces), spaces.facet_measure
-        p, flux, q = (np.roll(scattered_values(spaces), shift) - 0.5 for shift in range(3))
-        assert half.inner(half.riesz(flux), q) == pytest.approx(COMM.allreduce(e @ (flux * q)))
-        z = p - half.riesz(flux)
-        nearest, clipped = half.project(p, flux), np.maximum(z, 0)
-        assert nearest.min(initial=0) >= 0
-        for other in (np.abs(q), np.zeros_like(q), 2 * nearest):
-            assert half.inner(z - nearest, other - nearest) < 1e-12
-        assert half.inner(z - clipped, z - clipped) > 1.01 * half.inner(z - nearest, z - nearest)
 
 
 def test_comparison():

@@ -1,25 +1,16 @@
 """Sets predicted on coarser meshes and by solves that stop early: fewer steps, the same result."""
 
-import resource
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from made_cases import make_case
 from mpi4py import MPI
 
-from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx import Domain, load_case, solve_case
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.contact.chains import Condition, SiteConditions
-from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.diffusion.discrete.data import project_data
-from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
-from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 
 COMM = MPI.COMM_WORLD
 ALWAYS = Tuning(direct_up_to=0, predict_from=0, coarsen_from=1000)
@@ -38,27 +29,6 @@ def test_prediction_changes_the_number_of_steps_only():
         assert len(warm.outcome.history) - warm.outcome.rough_steps <= min(3, len(cold.outcome.history))
 
 
-@pytest.mark.slow
-@pytest.mark.parallel([1, 2])
-def test_rough_solves_predict_on_any_mesh(folder: Path):
-    """Without a coarser mesh rough solves alone find the sets, except for a few facets, and the result is the same."""
-    cube = make_case(folder, shape="cube", mesh="structured", parts=["bottom"], f="20*(x - 0.5)", h=0.2)
-    cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
-    for case in [load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": a}) for name, a in cases] + [cube]:
-        domain = mesh_case(case, COMM)
-        cold = solve_case(case.with_values({"solve.predict": False}), COMM, domain=domain, tuning=ALWAYS)
-        warm = solve_case(case, COMM, domain=domain, tuning=ALWAYS)
-        assert (cold.outcome.rough_steps, cold.outcome.linear_solver) == (0, "cg+mg")
-        steps, rough = warm.outcome.history, warm.outcome.rough_steps
-        assert 1 <= rough <= len(cold.outcome.history) + 1
-        assert [(step.iteration, step.rough) for step in steps] == [(n + 1, n < rough) for n in range(len(steps))]
-        assert all(step.sigma_change > 0 and step.u_change > 0 for step in steps)
-        assert len(steps) - rough <= min(3, len(cold.outcome.history))
-        np.testing.assert_array_equal(cold.outcome.conditions.kind, warm.outcome.conditions.kind)
-        for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
-            np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
-
-
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("element", ["RT0", "RT1"])
 def test_few_solves_at_any_size(element: str):
@@ -72,43 +42,6 @@ def test_few_solves_at_any_size(element: str):
             assert "prediction" in solution.timings
             assert len(solution.outcome.history) < most  # the start has no row
             assert 0 < max(step.linear_iterations for step in solution.outcome.history) <= 18
-
-
-@pytest.mark.parallel(2)
-def test_patch_is_solved_and_nothing_else_changes():
-    """On a patch around two facets of one rank the equations of that rank's unknowns hold; elsewhere x stays."""
-    case = load_case("example2").with_values({"solve.h": 1 / 16})
-    domain = mesh_case(case, COMM)
-    spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    backend = HybridBackend(spaces, project_data(spaces, case.posed(2)), multigrid=True)
-    last = COMM.allreduce(COMM.rank if len(spaces.facets) > 0 else -1, MPI.MAX)
-    near = np.zeros(len(spaces.facets), dtype=bool)
-    near[:2] = COMM.rank == last
-    conditions = SiteConditions(near.astype(np.int8) * np.int8(Condition.ZERO_TRACE))
-    backend.x.set(1.0)
-    before = backend.x.array_r.copy()
-    solve = backend.solve_near(near, 6, 0.25)
-    assert solve is not None
-    solve(conditions)
-    changed = backend.x.array_r != before
-    assert (np.count_nonzero(changed) > 20) == (COMM.rank == last)
-    if COMM.size == 1:
-        left = backend._factors.left(backend.system.load, backend.x, backend.posed(conditions).imposed)
-        assert np.abs(left[changed]).max() < 1e-12
-        assert backend.solve_near(near, 6, np.count_nonzero(changed) / backend.dofs / 2) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parallel([1, 2])
-def test_watching_a_solve_keeps_nothing_alive():
-    """On several ranks PETSc's garbage collection leaks memory, unless each iterate is destroyed at once."""
-    case = load_case("transition").with_values({"geometry.mesh": "structured", "solve.h": 2**-7})
-    mebibytes = []
-    for _ in range(10):
-        assert solve_case(case, COMM, tuning=Tuning(coarsening=16.0)).outcome.rough_steps > 0
-        collect_garbage(COMM)
-        mebibytes.append(int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20)
-    assert mebibytes[-1] < mebibytes[2] + 40  # 12 a solve were lost
 
 
 SHEET = """

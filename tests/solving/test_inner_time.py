@@ -9,10 +9,8 @@ from exact import energy_error
 from in_time import run_in_two
 from mpi4py import MPI
 
-from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx import StepBounds, evolve_case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import evolve_case
-from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.physics.diffusion.case import Case
 

@@ -1,16 +1,14 @@
-"""Problems of both physics without any law: a patch test, rates and bounds, ranks, the command line, pictures."""
+"""Problems of both physics without any law: a patch test, bounds, ranks, the command line, pictures."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import signorini
-from elastic import box, smooth
+from elastic import box
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Diffusion, Dirichlet, Elasticity, Neumann, solve
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.solving.solver import solve as solve_parts
+from signorini_fenicsx import Diffusion, Dirichlet, Elasticity, InputError, Neumann, solve
 
 COMM = MPI.COMM_WORLD
 
@@ -33,20 +31,6 @@ def test_pulled_bar(dim: int):
     assert "contact" not in solution.fields()
     assert "contact" not in solution.lines(summary)
     assert "prediction" not in solution.timings
-
-
-def test_rates_and_bounds():
-    """A smooth displacement under its loads: order 2, and the bound is above the error and close to it."""
-    errors, bounds = [], []
-    for n in (8, 16):
-        domain = box(COMM, n, [0.0, 0.0], [1.0, 1.0])
-        young, u, f = smooth(domain, 0.3)
-        problem = Elasticity(young, 0.3, f=f, u_D=u, exact=u)
-        solution = solve_parts(domain, problem)
-        errors.append(solution.errors()["energy"])
-        bounds.append(solution.certify().bound)
-        assert errors[-1] <= bounds[-1] <= 2 * errors[-1]
-    assert np.log2(errors[0] / errors[1]) > 1.8
 
 
 @pytest.mark.parallel([2])
@@ -87,7 +71,6 @@ h = 1
 PULLED = ('physics = "elasticity"', "young = 1\npoisson = 0.3\ng_N = {right = %s}")
 CASES = {
     "plate": ("square", PULLED[0], PULLED[1] % [0.1, 0]),
-    "block": ("cube", PULLED[0], PULLED[1] % [0.1, 0, 0]),
     "room": ("cube", "", "f = 1"),
 }
 

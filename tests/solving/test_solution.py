@@ -1,7 +1,6 @@
 """Methods of a solution: values at points, fluxes through parts, its trace in UFL, output in notebooks."""
 
 import doctest
-import gc
 import re
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from signorini_fenicsx import (
     load_solution,
     solve,
 )
-from signorini_fenicsx.extend import Step, write_solution
+from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.physics.diffusion import solution as module
 
 COMM = MPI.COMM_WORLD
@@ -99,7 +98,7 @@ def test_fluxes_balance_the_load():
 def test_trace_in_ones_own_ufl():
     """A conforming solution with p_h as Dirichlet data, by Nitsche's method, is near u_h; two refinements by 4."""
     distances = []
-    for n in (8, 32):
+    for n in (6, 24):
         solution = solved(n=n)
         spaces, p = solution.spaces, solution.p
         space = fem.functionspace(spaces.mesh, ("P", 1))
@@ -159,22 +158,3 @@ def test_it_shows_and_writes_itself(folder: Path):
     assert load_solution(folder / "other" / "run", COMM).contact == solution.contact
     with pytest.raises(InputError, match=r"folder .*summary\.json: cannot be made: File exists"):
         write_solution(solution, folder / "other" / "run" / "summary.json")
-
-
-def test_a_solve_is_safe_from_the_collector():
-    """Python's collector could free meshes at any time, which may hang MPI."""
-    enabled = []
-    square = mesh.create_unit_square(COMM, 4, 4)
-    domain = domain_of(square, WALLS)
-
-    def on_step(step: Step) -> None:
-        enabled.append(gc.isenabled())
-
-    gc.enable()
-    solve(domain, Diffusion(f="40*(x - 0.6)", conditions=[Signorini("bottom")]), on_step=on_step)
-    assert gc.isenabled()
-    assert enabled
-    assert not any(enabled)
-    with pytest.raises(InputError):
-        solve(domain, Diffusion(f="0*", conditions=[Signorini("bottom")]))
-    assert gc.isenabled()

@@ -12,8 +12,7 @@ from mpi4py import MPI
 from springs import Springs
 from springs.solving import Bed, Edges
 
-from signorini_fenicsx import certify, compare, load_solution, solve
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx import InputError, certify, compare, load_solution, solve
 from signorini_fenicsx.cases.case import case_of
 from signorini_fenicsx.cases.first_case import Place, case_text
 from signorini_fenicsx.cli.solution_report import SolutionReport

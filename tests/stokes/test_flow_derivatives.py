@@ -7,13 +7,10 @@ from controlled import Controlled, constants
 from elastic import box
 from mpi4py import MPI
 
+from signorini_fenicsx import Dirichlet, Leak, Options, Outflow, Slip, Stokes, solve
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.laws import Dirichlet
-from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
-from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 STEP = 1e-4

@@ -56,7 +56,6 @@ def test_a_channel_with_slip():
     with_springs = [*conditions[:-1], Slip("y1", g=0.3, beta=0.5)]  # σ_t = −0.3 − u/2, so that u = y(4/3 − y)
     navier = solve(found.spaces.domain, Stokes(0.7, conditions=with_springs))
     contains(navier.quantity(Force("y1", direction=[1, 0])), -0.3 - 0.5 / 3, 1e-6)
-    contains(navier.quantity(MeanPressure()), 0.7, 1e-6)  # it falls from 1.4 to 0
     contains(found.quantity(Dissipation()), 1.4 * flow - 0.3 * 4 / 7, 1e-6)  # what the pressure does, less friction
 
 
@@ -65,11 +64,10 @@ def test_the_mean_pressure_where_a_wall_slips():
     ends = [Pressure("x0", 1), *(Dirichlet(part, 0, components="t") for part in ("x0", "x1")), Dirichlet("y0", 0)]
     wall, f = Slip("y1", g=0.1, beta=2, velocity=[1, 0]), ["32*(0.5 - y)*x", "0"]
     solved = [solve(halves(n), Stokes(1, f=f, conditions=[*ends, wall])) for n in (2, 4)]
-    for kind in (MeanPressure(region="left"), Force("y1", direction=[1, 0])):
-        wide, narrow = (each.quantity(kind) for each in solved)
-        assert wide.guaranteed
-        assert wide.lower < narrow.lower < narrow.value < narrow.upper < wide.upper
-        assert narrow.width < 0.3 * wide.width
+    wide, narrow = (each.quantity(MeanPressure(region="left")) for each in solved)
+    assert wide.guaranteed
+    assert wide.lower < narrow.lower < narrow.value < narrow.upper < wide.upper
+    assert narrow.width < 0.3 * wide.width
     in_space = solve(box(COMM, 1, [0.0] * 3, [0.5] * 3), Stokes(1, conditions=between_pressures(0.5, 3)))
     contains(in_space.quantity(MeanPressure()), 0.25, 0.2)
 
