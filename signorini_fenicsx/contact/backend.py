@@ -217,6 +217,22 @@ class PlainBackend:
         return iterate, conditions
 
 
+class DataBackend(PlainBackend):
+    """A `PlainBackend` whose data have the laws of its sites.
+
+    Attributes:
+        data: The present data.
+    """
+
+    data: Any
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site."""
+        chains: Chains = self.data.chains
+        return chains
+
+
 @runtime_checkable
 class Renewable[I: Pairs](Backend[I], Protocol):
     """A backend that is set up once and then takes the data of one problem after another on its mesh."""

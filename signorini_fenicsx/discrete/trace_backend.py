@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.contact.backend import Iterate, PlainBackend
+from signorini_fenicsx.contact.backend import DataBackend, Iterate
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.sites import SiteKind
 from signorini_fenicsx.discrete.hybrid_system import HybridSystem, TraceSystem
@@ -27,7 +27,7 @@ from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.linear.patch import Patch
 
 
-class TraceBackend(PlainBackend):
+class TraceBackend(DataBackend):
     """The backend with one condition per site, for the p and the flux of the kinds of sites in `site_kinds`.
 
     The laws of the first kind of sites are `VertexLaws`. Subclasses say what the fields are (`iterate`), and what else

@@ -12,8 +12,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_nodes, owned_values
-from signorini_fenicsx.contact.backend import Iterate, PlainBackend
-from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.backend import DataBackend, Iterate
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_product
@@ -22,7 +21,7 @@ from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 
-class FacetBackend(PlainBackend):
+class FacetBackend(DataBackend):
     """A `Backend` for RT0/P0 with a condition per facet of Γ_S; subclasses add `name`, `dofs`, `solver` and `solve`.
 
     With laws in Ω there is a condition per owned cell as well, behind those of the facets.
@@ -50,11 +49,6 @@ class FacetBackend(PlainBackend):
         if data.inside:
             self.sites = len(spaces.site_kinds)
             self.noun = ("site", "sites") if spaces.part_names else ("cell", "cells")
-
-    @property
-    def chains(self) -> Chains:
-        """The law of each site."""
-        return self.data.chains
 
     @cached_property
     def change(self) -> FieldChange:

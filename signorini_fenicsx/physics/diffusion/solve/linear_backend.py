@@ -11,8 +11,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Inexact, PlainBackend
-from signorini_fenicsx.contact.chains import Chains, SiteConditions
+from signorini_fenicsx.contact.backend import DataBackend, Inexact
+from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.contact.sites import SiteKind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
@@ -29,7 +29,7 @@ from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 
 
-class VertexBackend(PlainBackend):
+class VertexBackend(DataBackend):
     """What the backends of RT1 have in common: a condition per facet vertex of Γ_S.
 
     There p is the mean of û − ψ by the hat, and the flux the value of σ·n − Π₁q_S.
@@ -40,11 +40,6 @@ class VertexBackend(PlainBackend):
     sites: int
     spaces: LinearSpaces
     data: LinearData
-
-    @property
-    def chains(self) -> Chains:
-        """The law of each site."""
-        return self.data.chains
 
     @property
     def laws(self) -> VertexLaws:

@@ -16,7 +16,7 @@ from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, STEP
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
-from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.sites import SiteKind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.posed import Posed, State
@@ -106,11 +106,6 @@ class ElasticBackend(TraceBackend):
         """The kinds of sites that have `VertexLaws`: that of friction in the plane where joints have springs."""
         by_springs = self.friction.springs is not None and not self.friction.in_space
         return super().on_facets + ([(self._slip, self.friction.laws)] if by_springs else [])
-
-    @property
-    def chains(self) -> Chains:
-        """The law of each site, of friction by its present bounds."""
-        return self.data.chains
 
     @property
     def friction(self) -> FrictionBounds:
