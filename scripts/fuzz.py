@@ -2,7 +2,6 @@
 
     uv run python scripts/fuzz.py --count 2000 [--seed 0] [--kind mesh --kind geo] [--ranks 2]
     uv run python scripts/fuzz.py --only mesh17 [--seed 0]      # that input again; its folder is kept
-    uv run python scripts/fuzz.py --texts 10 [--seed 1]         # texts for the reader alone, for so many minutes
 
 Each input is run in a folder with files of the user. It must be solved (0), fail (1) or be refused (2) with one
 sentence. For no input may the program crash, hang, write outside the output folder or lose a file. The columns on the
@@ -31,18 +30,14 @@ from fuzzing.judge import (
     import_everything,
     judged,
     make_folders,
-    numbered,
     put_files_of_the_user,
     snapshot,
 )
 
 KINDS = {
-    **{"case": "texts.case_file", "law": "texts.law_file", "elastic": "problems.few_facets"},
-    **{"option": "options.option", "expression": "expressions.expression", "mesh": "meshes.mesh_file"},
-    **{"geo": "geometries.geometry", "checkpoint": "checkpoints.checkpoint", "study": "texts.study"},
-    **{"forged": "options.forged", "config": "options.configuration", "far": "problems.far_place"},
-    **{"pulse": "problems.pulses", "early": "options.ends_early", "unjoined": "meshes.unjoined"},
-    **{"drawn": "problems.drawn", "opened": "problems.opened", "quantity": "problems.quantities"},
+    **{"case": "texts.case_file", "option": "texts.option", "mesh": "files.mesh_file", "geo": "files.geometry"},
+    **{"checkpoint": "files.checkpoint", "study": "texts.study", "forged": "files.forged", "killed": "texts.killed"},
+    **{"config": "texts.configuration", "expression": "texts.expression", "pulse": "texts.pulses"},
 }
 """The functions of `fuzzing` that make inputs, by kind."""
 
@@ -50,9 +45,6 @@ KINDS = {
 def main() -> None:
     """Run all inputs; print each bad outcome at once, and the table at the end."""
     options = _options()
-    if options.texts:
-        import_module("fuzzing.expressions").read_texts(options.texts, options.seed)
-        return
     begin_again()
     pencil = Path(tempfile.mkdtemp(prefix="signorini-fuzz-"))
     import_everything(pencil)
@@ -61,8 +53,9 @@ def main() -> None:
     if options.only:
         fuzz.replay(options.only)
         return
-    for kind, index in numbered(options.count, options.kind or list(KINDS)):
-        fuzz.run(kind, index)
+    kinds = options.kind or list(KINDS)
+    for number in range(options.count):
+        fuzz.run(kinds[number % len(kinds)], number // len(kinds))
     fuzz.runner.finish()
     seconds = (time.monotonic() - began) / options.count
     print(fuzz.table())
@@ -77,7 +70,6 @@ def _options() -> argparse.Namespace:
         parser.add_argument(option, type=int, default=default)
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind; may be repeated")
     parser.add_argument("--only", help="run this input alone and keep its folder")
-    parser.add_argument("--texts", type=float, help="read random texts in this process for so many minutes")
     return parser.parse_args()
 
 
@@ -90,7 +82,7 @@ class Fuzz:
             kind: getattr(import_module(f"fuzzing.{module}"), name) for kind, (module, name) in places.items()
         }
         self._pencil, self._seed, self.runner = pencil, seed, runner
-        self._valid = import_module("fuzzing.problems").make_valid(pencil, runner)
+        self._valid = import_module("fuzzing.files").make_valid(pencil, runner)
         self._counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
 
     def run(self, kind: str, index: int, keep: bool = False) -> None:
@@ -116,7 +108,13 @@ class Fuzz:
             if not keep:
                 shutil.rmtree(root)
 
-        self.runner.start(broken.words, root, done, homeless=broken.homeless)
+        def again(_: Ending) -> None:
+            self.runner.start(broken.words, root, done, homeless=broken.homeless)
+
+        if broken.killed is None:
+            again(Ending(0, "", late=False, orphans=False, memory=0))
+        else:
+            self.runner.start(broken.words, root, again, seconds=broken.killed)
 
     def _show(self, name: str, about: str, words: list[str], verdict: Verdict) -> None:
         command = shlex.join(["signorini", *words])[:200]

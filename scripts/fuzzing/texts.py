@@ -1,330 +1,158 @@
-"""Broken case files and studies."""
+"""Broken case files, studies, command lines and expressions, configuration files, kills, and pulses.
+
+What is broken are the commands and cases of `tests/capabilities.py`, which together take all paths of the program.
+
+Pulses are valid data that quadrature may miss. Let w(x, y) ≥ 0 be pulses along one coordinate; then ‖σ‖ is
+
+- for pulses in *f, c, κ* that of a problem on an interval, as u depends on x alone;
+- *g_N, q_S*: at least (σ, ∇v) = ∫w with v linear across: the other side has u = 0, and no other flux enters;
+- *u_D, ψ*: at least |(σ, τ)| with τ constant across, which is ∫w, and 2 + ∫w for u = −2 above and u ≥ w below;
+- *obstacle*: at least √12 ∫w: −Δu ≥ 0 and u = 0 on both sides; with v = x(1 − x)/2, ∫u = (∇u, ∇v), ‖∇v‖² = 1/12;
+- *g* of a law of friction with u = 1 opposite, so small that u > 0: at least ∫g.
+"""
 
 import json
 import random
 import re
 import shutil
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
+import capabilities
+import numpy as np
+import typer
 from broken_input import CASE_MUTATIONS
+from scipy.linalg import solveh_banded
 
-from fuzzing import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged
+from fuzzing import NUMBERS, OUTPUT, WORDS, Array, Broken, Valid, damaged, make_odd
 from signorini_fenicsx.base.shipped import data_folder
+from signorini_fenicsx.cli.app import app
+from signorini_fenicsx.expressions import read, values
 
-COARSE = {
-    **dict.fromkeys(["example1", "example2", "example3", "example4", "example5", "example6"], "1/4"),
-    **dict.fromkeys(["cube", "lprism", "ball"], "0.8"),
+SHIPPED = {path.stem: path.read_text(encoding="utf-8") for path in data_folder("cases").glob("*.toml")}
+CORPUS = [
+    (list(each.commands[-1]), each.files)
+    for each in capabilities.capabilities()
+    if not each.slow and not any("/tests/" in word for word in each.commands[-1])
+]
+"""Commands with the texts of their files, by name; none names a folder outside the working one."""
+TEXTS = [*SHIPPED.values(), *(text for _, files in CORPUS for text in files.values())]
+PAIRS = [pair for text in TEXTS for pair in re.findall(r"(?m)^(\w+) *= *(.+)$", text)]
+"""Keys with values, as cases have them."""
+
+
+def _sections(text: str) -> list[str]:
+    return re.split(r"(?m)^(?=\[)", text)
+
+
+SECTIONS = [section for text in TEXTS for section in _sections(text) if section.startswith("[")]
+KEYS = [
+    f"{found[2]}{'.0' if found[1] == '[[' else ''}.{key}"
+    for section in SECTIONS
+    for found in re.finditer(r"(\[+)([\w.]+)", section.split("\n")[0])
+    for key in re.findall(r"(?m)^(\w+) *=", section)
+]
+"""Keys of cases with their sections, as `--set` has them."""
+WRITING = ("solve", "adapt", "convergence", "compare", "export", "study")
+OPTIONS = {
+    name: [(word, not option.is_flag) for option in command.params for word in option.opts if word.startswith("-")]
+    for name, command in typer.main.get_command(app).commands.items()  # type: ignore[attr-defined]
 }
-"""Cases that are broken, and values of h with which they are fast."""
-KEYS = (
-    "geometry.shape", "geometry.mesh", "geometry.diagonal", "geometry.file", "boundary.signorini",
-    "boundary.neumann", "boundary.dirichlet", "problem.f", "problem.kappa", "problem.u_D", "problem.g_N",
-    "problem.psi", "problem.q_S", "exact.u", "solve.algorithm", "solve.backend", "solve.h", "solve.rho",
-    "solve.eps", "solve.max_iterations", "solve.predict", "title", "name", "solve", "geometry", "", ".", "a.b.c.d",
-    "problem.f.g", "__class__", "sol\u200bve.h",
-)  # fmt: skip
-VALUES = (
-    "0", "-1", "1", "true", "nan", "inf", "-inf", "1e999", "[]", "{}", '""', '"x"', "[1, 2]", "{a = 1}",
-    "1979-05-27", '["bottom"]', '["bottom", "bottom"]', '["top", 3]', "[[1, 0], [0, 1]]", '[["x", 0], [0, "y"]]',
-    "[[1, 2], [2, 1]]", "[[1, 2, 3]]", "[[1, nan], [nan, 1]]", "[[-1, 0], [0, -1]]", '"\\u0000"', '"a\\u0000b.msh"',
-    '"../home/secret.msh"', '"/dev/zero"', '"."', '"notes.txt"', '"x/0"', '"1/0"', '"z"', '"nan"', '"square"',
-    '"cube"', '"alg2"', '"mixed"', "9" * 5000, "0x" + "f" * 300, "1" + "0" * 400 + ".0", '"2^-1000"', '"9**9**9"',
-    '"' + "(" * 900 + '"', "[" * 300 + "]" * 300, '"' + "not " * 480 + 'x > 0"',
-    '"1 if ' + "x < " * 300 + 'y else 0"', '"\\U0001F986"',
-)  # fmt: skip
+"""All options of the commands, and whether they take a value."""
+
+
+def _a_value(rng: random.Random, key: str = "") -> str:
+    """A value as TOML has it: one that this key has elsewhere, that any key has, or none that makes sense."""
+    same = [value for name, value in PAIRS if name == key] or ["1"]
+    words = [rng.choice(NUMBERS), json.dumps(rng.choice([*NUMBERS, *WORDS])), "{a = 1}", "[[1, nan], [nan, 1]]"]
+    odd = rng.choice([*words, "1979-05-27", "[" * 300 + "]" * 300, '"' + "not " * 480 + 'x > 0"', '"a\\u0000b.msh"'])
+    return rng.choice([*rng.choices(same, k=4), rng.choice(PAIRS)[1], odd])
+
+
+def _with_a_value(rng: random.Random, text: str) -> str:
+    """A text with another value of a key, or another key after it."""
+    places = list(re.finditer(r'(?m)^([\w."]+) *= *(.+)$', text))
+    if not places:
+        return text
+    place = rng.choice(places)
+    key = place[1] if rng.random() < 0.8 else rng.choice(PAIRS)[0]
+    kept = place[0] + "\n" if key != place[1] else ""
+    return f"{text[: place.start()]}{kept}{key} = {_a_value(rng, key)}{text[place.end() :]}"
+
+
+def broken_toml(rng: random.Random, text: str) -> tuple[bytes, str]:
+    """A case or study with other values, lines or sections, or broken bytes; and how it was broken."""
+    way = rng.choice([*["values"] * 5, "lines", "section", "section", "bytes"])
+    if way == "bytes":
+        return damaged(rng, text.encode())
+    data = text.encode()
+    for _ in range(rng.choice([1, 1, 2])):
+        if way == "lines":
+            data = rng.choice(CASE_MUTATIONS)(rng, data)
+        elif way == "values":
+            data = _with_a_value(rng, data.decode()).encode(errors="replace")
+        else:
+            section = rng.choice(SECTIONS)
+            header = section.split("]")[0] if section[1] != "[" else None
+            pieces = [piece for piece in _sections(data.decode()) if piece.split("]")[0] != header]
+            if rng.random() < 0.8:
+                data = "\n".join([*pieces, section]).encode()
+            else:
+                data = f"{section.split()[0].strip('[]')} = {_a_value(rng)}\n{''.join(pieces)}".encode()
+    return data, way
+
+
+def _put(folder: Path, valid: Valid, words: list[str], files: dict[str, str]) -> list[str]:
+    """Put what a command of the corpus needs into a folder; return its words without its output folder."""
+    for name, text in files.items():
+        fault = data_folder("meshes") / "fault.msh"
+        (folder / name).write_text(text.replace("FAULT", str(fault)), encoding="utf-8")
+    if words[0] in WRITING:
+        at = words.index("--output")
+        words = words[:at] + words[at + 2 :]
+    words = ["res" if word == "out" else word for word in words]
+    for name in {"res", "finer"} & set(words):
+        shutil.copytree(valid.shape, folder / name)
+    return words
+
+
+def _finished(rng: random.Random, words: list[str], about: str, **known: bool) -> Broken:
+    """The input with an output folder, and without characters that a command line cannot contain."""
+    words = [word.replace("\0", "").encode(errors="ignore").decode()[:100_000] for word in words]
+    writes = words[0] in WRITING
+    at = words.index("--") if "--" in words else len(words)
+    words[at:at] = ["--output", OUTPUT] if writes else []
+    earlier = writes and words[0] != "study" and rng.random() < 0.5
+    return Broken(words, about.replace("\n", " ")[:120], earlier=earlier, homeless=rng.random() < 0.05, **known)
 
 
 def case_file(rng: random.Random, folder: Path, valid: Valid) -> Broken:
-    """A shipped case with broken lines, bytes, or values."""
-    if rng.random() < 0.1:
-        return _not_a_case(rng, folder)
-    name = rng.choice(sorted(COARSE) if rng.random() < 0.4 else ["example1", "example2", "example4", "example5", "dam"])
-    text = _coarse(name)
-    way = rng.choice(["lines", "lines", "bytes", "values", "values"])
-    if way == "lines":
-        data = text.encode()
-        for _ in range(rng.randint(1, 3)):
-            data = rng.choice(CASE_MUTATIONS)(rng, data)
-    elif way == "bytes":
-        data, way = damaged(rng, text.encode())
-    else:
-        data, way = _with_values(rng, text, KEYS, VALUES)
-    (folder / "case.toml").write_bytes(data)
-    if name == "dam":
-        shutil.copyfile(data_folder("meshes") / "dam.msh", folder / "dam.msh")
-    command = _command(rng, tomllib.loads(text), data)
-    words = [command, "case.toml", *(["--output", OUTPUT] if command == "solve" else [])]
-    if name in ("cube", "lprism", "ball") and command != "info":
-        words += ["--h", COARSE[name]]  # without it a lost line could mean millions of cells
-    return Broken(words, f"{name} {way}", earlier=command == "solve" and rng.random() < 0.5)
-
-
-def _coarse(name: str) -> str:
-    """Text of a case with a coarse h."""
-    text = (data_folder("cases") / f"{name}.toml").read_text(encoding="utf-8").replace("../meshes/", "")
-    return re.sub(r"(?m)^h = .*$", f'h = "{COARSE.get(name)}"', text)
-
-
-def _command(rng: random.Random, tree: dict, data: bytes) -> str:
-    """The command for a case; cases with new data are rarely solved, because compiling them takes seconds."""
-    try:
-        case = tomllib.loads(data.decode())
-        is_compiled = case.get("problem") == tree["problem"] and case.get("exact") == tree.get("exact")
-        is_compiled = is_compiled and case.get("boundary") == tree["boundary"]
-    except (ValueError, RecursionError):
-        is_compiled = True
-    return rng.choice(["check", "solve", "solve", "info"]) if is_compiled or rng.random() < 0.05 else "info"
-
-
-def _with_values(rng: random.Random, text: str, keys: tuple[str, ...], values: tuple[str, ...]) -> tuple[bytes, str]:
-    """One or two keys with values of other types, in the right section or a second one of its name."""
-    chosen = []
-    for _ in range(rng.choice([1, 1, 2])):
-        key, value = rng.choice(keys), rng.choice([*values, *map(json.dumps, (*NUMBERS, *WORDS))])
-        section, _, last = key.partition(".") if "." in key else ("", "", key)
-        line = f"{last} = {value}"
-        if re.search(rf"(?m)^{re.escape(last)} *=", text) and last:
-            text = re.sub(rf"(?m)^{re.escape(last)} *=.*$", lambda _, line=line: line, text, count=1)
-        elif f"[{section}]" in text:
-            text = text.replace(f"[{section}]", f"[{section}]\n{line}", 1)
-        else:
-            text = f"{text}\n[{section}]\n{line}\n" if section else f"{line}\n{text}"
-        chosen.append(f"{key}={value[:30]}")
-    return text.encode(errors="replace"), ", ".join(chosen)
-
-
-def _not_a_case(rng: random.Random, folder: Path) -> Broken:
-    """Something else instead of the file, which must be refused."""
+    """A command with a broken case, or with something else in its place, which must be refused."""
+    words, files = rng.choice([entry for entry in CORPUS if entry[0][0] not in ("export", "compare", "study")])
+    words, name = _put(folder, valid, words, files), words[1]
     path = folder / "case.toml"
-    way = rng.choice(["folder", "missing", "loop", "empty", "device", "utf16", "deep", "many", "long name"])
-    match way:
-        case "folder":
-            path.mkdir()
-        case "loop":
-            path.symlink_to("case.toml")
-        case "empty":
-            path.touch()
-        case "device":
-            path.symlink_to("/dev/null")
-        case "utf16":
-            path.write_bytes(_coarse("example1").encode("utf-16"))
-        case "deep":
-            path.write_text("a = " + "[" * 100_000, encoding="utf-8")
-        case "many":
-            path.write_text("\n".join(f"[a{'.a' * 300}{i}]" for i in range(300)), encoding="utf-8")
-    name = "x" * 300 + ".toml" if way == "long name" else "case.toml"
-    return Broken([rng.choice(["check", "info", "solve"]), name], f"not a case: {way}", refused=True)
-
-
-type Tree = dict[str, dict[str, str]]
-
-SQUARE = {"geometry": {"shape": '"square"'}, "problem": {"f": '"x"'}, "solve": {"h": "0.5"}}
-LAWS: tuple[dict[str, str], ...] = (
-    {"kind": '"signorini"', "psi": '"-x/9"', "q_S": "0"}, {"kind": '"friction"', "g": '"x"'},
-    {"kind": '"two-sided"', "psi": "-1", "psi_upper": '"x"', "q_S": "0"},
-    {"kind": '"wall"', "beta": "2", "level": '"x"'},
-    {"kind": '"regulator"', "k": "2", "g_low": "-1", "g_high": '"x"', "a": "0"},
-    {"kind": '"graph"', "corners": '[[-1, "x"], [1, 0]]', "before": '"vertical"', "beyond": "1"},
-)  # fmt: skip
-ELASTIC: Tree = {
-    "": {"physics": '"elasticity"'},
-    "geometry": {"shape": '"square"'},
-    "boundary": {"contact": '["bottom"]', "neumann": '["top"]', "fixed": '{left = "x"}'},
-    "law.0": {"kind": '"friction"', "parts": '["bottom"]', "mu": "0.3"},
-    "problem": {
-        **{"young": "2", "poisson": "0.3", "f": '["0", "-x"]', "u_D": "[0, 0]", "g_N": '{top = [0, "-x"]}'},
-        **{"gap": '"x/9"', "plane": '"strain"'},
-    },
-    "solve": {"h": "0.5", "algorithm": '"alg1"', "max_iterations": "30"},
-}
-TIME = {"end": "1", "steps": "2", "initial": '"x"', "capacity": "1", "scheme": '"bdf2"'}
-SPECIAL = (
-    "-1e-30", '"-x"', '"t"', '"sqrt(x - 2)"', '"log(x - 1/2)"', '"1e300*x"', "1e200", '"abs(x)^1000"',
-    '["bottom", "top"]', '["left"]', '"n"', '"xy"', '"z"', '{bottom = "x"}', '{top = ["0"]}', '{top = "0"}',
-    "[[1, 0], [1, 1], [1, 0]]", "[[0, 0]]", "[[0, 0], [1, 1]]", '[["y", 0], ["x", 0]]', "0.5", "0.499999999999",
-    "-0.99999", '"vertical"', '"bdf2"', '"strain"', "1e-300", '["0", "t"]', '["x", "y", "z"]', '"slit"', '["slit"]',
-    '"elasticity"', '"scalar"', '{1 = "x"}', "{slit = [0, 0]}", "1000000000",
-)  # fmt: skip
-"""Values that are of the right type in one place and wrong in another."""
-USUAL = (
-    "0", "1", "-1", "0.3", "1e9", "1e-9", '"x"', '"-x"', '"x - 1/2"', '"y"', '"1 if x < 1/3 else -2"',
-    '"x^2 - 1/3"', '"sin(9*x)"',
-)  # fmt: skip
-"""Values that most expressions may have."""
-PARTS = (
-    "[]", '["bottom"]', '["left"]', '["top", "right"]', '["bottom", "left"]', '["slit"]', '["fault"]',
-    '["nowhere"]',
-)  # fmt: skip
-STEPS = ("0", "1", "3", "1e-9", "60", '"1/3"')
-SCHEMES = ('"bdf2"', '"implicit-euler"', '"euler"')
-SIDES = (
-    "{}", "{fault = [0, 0]}", '{fault = "upper"}', '{fault = "x"}', "{fault = [1, 0]}", "{fault = [0, -1e-9, 0]}",
-    "{slit = [0, 1]}",
-)  # fmt: skip
-FIXED = (
-    "{}", '{left = "xy"}', '{left = "n"}', '{right = "n", left = "n"}', '{left = "z"}', '{left = ""}',
-    '{bottom = "x"}', '{left = "xx"}',
-)  # fmt: skip
-CORNERS = (
-    "[]", "[[0, 0]]", "[[0, 1], [0, 1]]", "[[1, 0], [0, 1]]", '[["x", 1], ["x", 0]]', '[["x", 1], [0.5, 0]]',
-    "[[0, 1], [1, 0], [1, 0]]", "[[0]]",
-)  # fmt: skip
-MORE = (
-    "inner", "sides", "contact", "fixed", "dirichlet", "obstacle", "c", "young", "gap", "g", "mu", "parts", "psi",
-    "kappa", "t",
-)  # fmt: skip
-
-
-def law_file(rng: random.Random, folder: Path, valid: Valid) -> Broken:
-    """A case of a new kind with one or two wrong values, missing or unknown keys, or broken bytes."""
-    name, tree = rng.choice([_with_law, _with_law, _inner, _in_time, _in_time, _obstacle, _dam, _elastic, _elastic])(
-        rng
-    )
-    tree = {section: dict(keys) for section, keys in tree.items()}
-    about = [_changed(rng, tree) for _ in range(rng.choice([1, 1, 2]))]
-    data = "\n".join(_lines(tree)).encode(errors="replace")
     if rng.random() < 0.08:
-        data, way = damaged(rng, data)
-        about.append(way)
-    (folder / "case.toml").write_bytes(data)
-    shutil.copyfile(data_folder("meshes") / "fault.msh", folder / "fault.msh")
-    return Broken(_reading(rng), f"{name}: {', '.join(about)}"[:120])
+        return _finished(rng, [words[0], "case.toml"], make_odd(rng, path), refused=True)
+    data, way = broken_toml(rng, (files.get(name) or SHIPPED[name]).replace("FAULT", "fault.msh"))
+    for place in re.findall(r'"([\w./]{1,99}\.(?:msh|geo))"', data.decode(errors="replace")):
+        sources = [data_folder("cases") / place, data_folder("meshes") / Path(place).name]
+        for source in filter(Path.is_file, sources):
+            shutil.copyfile(source, folder / Path(place).name)
+    path.write_bytes(data.replace(b"../meshes/", b""))
+    words[:2] = [words[0] if rng.random() < 0.8 else rng.choice(["check", "info"]), "case.toml"]
+    if words[0] in ("check", "info"):
+        words = words[:2]
+    elif words[0] == "solve" and rng.random() < 0.1:
+        words.append("--plot")
+    return _finished(rng, words, f"{name} {way}")
 
 
-def _with_law(rng: random.Random) -> tuple[str, Tree]:
-    laws = rng.sample(LAWS, rng.choice([1, 1, 2]))
-    named = {
-        f"law.{i}": {"parts": f'["{part}"]', **law}
-        for i, (part, law) in enumerate(zip(("bottom", "left"), laws, strict=False))
-    }
-    return "law", {**SQUARE, "boundary": {"signorini": '["right"]'}, **named}
-
-
-def _inner(rng: random.Random) -> tuple[str, Tree]:
-    law = rng.choice(LAWS)
-    if rng.random() < 0.6:
-        own = {
-            "geometry": {"shape": '"slit"'},
-            "boundary": {"inner": '["slit"]'},
-            "law.0": {"parts": '["slit"]', **law},
-        }
-        return "slit", {**SQUARE, **own}
-    boundary = {"inner": '["fault"]', "sides": "{fault = [0, 1]}"}
-    own = {"geometry": {"file": '"fault.msh"'}, "boundary": boundary, "law.0": {"parts": '["fault"]', **law}}
-    return "fault", {**own, "problem": SQUARE["problem"]}
-
-
-def _in_time(rng: random.Random) -> tuple[str, Tree]:
-    _, tree = _with_law(rng)
-    problem = {"f": '"t"', "c": '"x"', "psi": "-0.1"} | ({"obstacle": "-1"} if rng.random() < 0.2 else {})
-    return "time", {**tree, "problem": problem, "time": TIME}
-
-
-def _obstacle(rng: random.Random) -> tuple[str, Tree]:
-    return "obstacle", {
-        **SQUARE,
-        "boundary": {"signorini": "[]"},
-        "problem": {"f": "-9", "obstacle": '"x/9 - 1"', "c": "1"},
-    }
-
-
-def _dam(rng: random.Random) -> tuple[str, Tree]:
-    return "dam", {"dam": {"L": "2", "h": "1", "H": "3"}, "solve": {"h": "1"}}
-
-
-def _elastic(rng: random.Random) -> tuple[str, Tree]:
-    return "elastic", ELASTIC
-
-
-def _changed(rng: random.Random, tree: Tree) -> str:
-    """Change one key of a case; return what was changed."""
-    if rng.random() < 0.2:
-        return _spoilt(rng, tree)
-    section = rng.choice([section for section in tree if section not in ("", "geometry", "solve")])
-    keys = tree[section]
-    key = rng.choice(list(keys) or ["neumann"])
-    lists = {
-        "parts": PARTS,
-        "sides": SIDES,
-        "fixed": FIXED,
-        "corners": CORNERS,
-        "steps": STEPS,
-        "end": STEPS,
-        "scheme": SCHEMES,
-    }
-    if key == "kind" and "mu" not in keys:
-        tree[section] = {"parts": keys.get("parts", '["top"]'), **rng.choice(LAWS)}
-    elif keys.get(key, "").startswith('["0"'):
-        keys[key] = f"[{rng.choice(USUAL)}, {rng.choice([*USUAL, *SPECIAL])}]"
-    else:
-        keys[key] = rng.choice(lists.get(key, PARTS if section == "boundary" else (*USUAL, *USUAL, *SPECIAL)))
-    return f"{section}.{key}={keys.get(key, 'another')[:30]}"
-
-
-def _spoilt(rng: random.Random, tree: Tree) -> str:
-    """Take a key away, add one, put a section in, or a value of any type."""
-    section = rng.choice(list(tree))
-    keys = tree[section]
-    value = rng.choice([*VALUES, *SPECIAL, *map(json.dumps, (*NUMBERS, *WORDS))])
-    way = rng.choice(["value", "gone", "more", "section"])
-    if way == "section":
-        tree[rng.choice(["time", "law.0", "dam", "exact", "boundary"])] = rng.choice(
-            [TIME, dict(rng.choice(LAWS)), {"u": value}]
-        )
-        return "another section"
-    key = rng.choice(MORE) if way == "more" or not keys else rng.choice(list(keys))
-    if way == "gone":
-        keys.pop(key, None)
-    else:
-        keys[key] = value
-    return f"{way} {section}.{key}={value[:30]}"
-
-
-def _lines(tree: Tree) -> list[str]:
-    """The text of a case, with keys outside of sections first."""
-    lines = []
-    for section, keys in sorted(tree.items(), key=lambda item: item[0] != ""):
-        header = "[[law]]" if section.startswith("law.") else f"[{section}]"
-        lines += [header if section else "", *(f"{key} = {value}" for key, value in keys.items())]
-    return lines
-
-
-def _reading(rng: random.Random) -> list[str]:
-    """A command that reads the case, or --set of a key of it."""
-    words = rng.choice(
-        [["solve", "case.toml"]] * 4
-        + [["check", "case.toml"], ["info", "case.toml"], ["adapt", "case.toml", "--max-cells", "300"]]
-        + [["convergence", "case.toml", "--levels", "1:2", "--reference", "3"]]
-    )
-    if rng.random() < 0.2:
-        key = rng.choice(
-            [
-                "law.0.g",
-                "law.9.g",
-                "law.x",
-                "law",
-                "law.0",
-                "time.steps",
-                "boundary.sides.slit",
-                "boundary.fixed.left",
-                "physics",
-                "problem.g_N.top",
-            ]
-        )
-        words = [*words, "--set", f"{key}={rng.choice([*SPECIAL, *VALUES]).strip(chr(34))[:2000]}"]
-    return [*words, "--output", OUTPUT] if words[0] not in ("check", "info") else words
-
-
-STUDY = """title = "A small study"
-case = "example1"
+STUDY = """case = "example1"
 ranks_per_run = 1
 fields = false
-
 [set]
 eps = 1e-6
 "geometry.mesh" = "structured"
-
 [vary]
 h = ["1/2", 0.75]
 algorithm = ["alg1", "alg3"]
@@ -338,71 +166,262 @@ eps = [1e-2, 1e-6]
 levels = [1, 2]
 reference = 3
 """
-STUDY_KEYS = (
-    "name", "title", "case", "ranks_per_run", "fields", "plot", "set", "vary", "together", "convergence", "comment",
-    "set.h", "vary.h", "vary.case", "vary.eps", "vary.rho", "vary.backend", 'vary."problem.f"',
-    'set."geometry.shape"', 'set."boundary.signorini"', "convergence.levels", "convergence.reference",
-    "convergence.vary", "convergence.varry", "convergence.extra", "set.h.x", "vary.solve", "vary.name",
-    'vary."a.b.c"',
-)  # fmt: skip
-STUDY_VALUES = (
-    '"x"', "1", "-1", "0", "true", "[]", "[[]]", "{}", "[{}]", "{a = 1}", "nan", "inf", "[nan]", "[0]", "[1, 2]",
-    '["1/2"]', '["2^-1000"]', '["example1", "case.toml"]', '["../home/x.toml"]', '[["top"], ["bottom"], []]',
-    '"eps=h"', '["eps"]', '"\\u0000"', "[" + "0.5, " * 3000 + "]", "[" * 400 + "]" * 400, "9" * 5000,
-    "0x" + "f" * 300, "1979-05-27",
-)  # fmt: skip
-FOLDERS = ("lock is a folder", "runs is a file", "table is a folder", "broken record", "empty run", "claims is a file")
+TAME = (b'h = ["1/2", 0.75]', b"levels = [1, 2]\nreference = 3"), (b"problem", b"shape", b"boundary", b"plot", b"case.")
+"""What a study has if its runs are small, one of these words, and what none of these has."""
 
 
 def study(rng: random.Random, folder: Path, valid: Valid) -> Broken:
-    """A study with broken lines, bytes or values, or its folder broken."""
-    text = STUDY if rng.random() < 0.8 else CONVERGENCE
-    way = rng.choice(["lines", "bytes", "values", "values", "folder"])
+    """A study that is broken, or its folder is; only those with small runs are run."""
+    text, way = rng.choice([STUDY, STUDY, STUDY, CONVERGENCE]), ""
     data = text.encode()
-    if way == "lines":
-        for _ in range(rng.randint(1, 3)):
-            data = rng.choice(CASE_MUTATIONS)(rng, data)
-    elif way == "bytes":
-        data, way = damaged(rng, data)
-    elif way == "values":
-        data, way = _with_values(rng, text, STUDY_KEYS, STUDY_VALUES)
+    if rng.random() < 0.75:
+        data, way = broken_toml(rng, text)
     else:
-        way = _broken_folder(rng, folder / OUTPUT)
+        place = folder / OUTPUT
+        place.mkdir()
+        (place / "mine.txt").write_text("the user's", encoding="utf-8")
+        (place / ".lock").touch()
+        name = rng.choice([".lock", ".claims", "runs", "table.csv", "runs/example1-alg1-0123456789ab/summary.json"])
+        way = make_odd(rng, place / name)
     (folder / "study.toml").write_bytes(data)
-    (folder / "case.toml").write_text('[geometry]\nshape = "square"', encoding="utf-8")
-    dry = rng.random() < (0.2 if way in FOLDERS else 0.6) or not _is_tame(data)
-    words = ["study", "study.toml", "--output", OUTPUT, *(["--dry-run"] if dry else [])]
-    return Broken(words + (["--retry-failed"] if rng.random() < 0.1 else []), way)
+    small = any(word in data for word in TAME[0]) and not any(word in data for word in TAME[1])
+    words = ["study", "study.toml", *(["--dry-run"] if not small or rng.random() < 0.4 else [])]
+    return _finished(rng, words + (["--retry-failed"] if rng.random() < 0.1 else []), way)
 
 
-def _is_tame(data: bytes) -> bool:
-    """Whether a study asks only for runs as tiny as the original ones, or is not a study."""
-    sizes = b'h = ["1/2", 0.75]' in data or b"levels = [1, 2]\nreference = 3" in data
-    return sizes and not any(word in data for word in (b"problem", b"shape", b"boundary", b"plot"))
+PETSC = (
+    *("ksp_type", "pc_type", "snes_type", "mat_type", "vec_type", "ksp_rtol", "ksp_atol", "ksp_max_it", "snes_rtol"),
+    *("snes_atol", "snes_stol", "snes_max_it", "snes_max_funcs", "snes_divergence_tolerance", "mat_mumps_icntl_7"),
+    *("mat_mumps_icntl_14", "pc_factor_zeropivot", "ksp_convergence_test", "ksp_norm_type", "options_file", "ksp_view"),
+    *("pc_factor_mat_solver_type", "", "- -", "nonsense"),
+)
+FOR_PETSC = (
+    *("nonsense", "cg", "none", "jacobi", "preonly", "richardson", "lu", "skip", "case.toml", "0", "1", "-1", "3"),
+    *("0.9", "0.1", "99", "1e6", "1e10", "1e300", "nan", "x"),
+)
+"""PETSc options and values of them; none asks PETSc for a debugger or an abort, because PETSc would obey."""
+HOSTILE_OUTPUTS = (
+    *("", ".", "..", "/", "notes.txt", "notes.txt/out", "photos", "../home", "/dev/null", "/proc/self/out", "x" * 300),
+    *("y/" * 3000 + "z", "loop", "loop/out", "readonly/out", "/dev/full/x"),
+)
+"""Folders that belong to the user, cannot be made, or are not folders."""
+OTHERS: tuple[list[str], ...] = (["check", "example2"], ["info", "example3"], ["methods"], ["version"], ["cases"])
 
 
-def _broken_folder(rng: random.Random, place: Path) -> str:
-    """A folder instead of the study's own folder, with something wrong in it."""
-    way = rng.choice(FOLDERS)
-    run = place / "runs" / "example1-alg1-0123456789ab"
-    place.mkdir()
-    (place / "mine.txt").write_text("the user's", encoding="utf-8")
-    match way:
-        case "lock is a folder":
-            (place / ".lock").mkdir()
-        case "runs is a file":
-            (place / ".lock").touch()
-            (place / "runs").touch()
-        case "table is a folder":
-            (place / ".lock").touch()
-            (place / "table.csv").mkdir()
-        case "claims is a file":
-            (place / ".lock").touch()
-            (place / ".claims").touch()
-        case _:
-            (place / ".lock").touch()
-            run.mkdir(parents=True)
-            if way == "broken record":
-                (run / "summary.json").write_text('{"a": ', encoding="utf-8")
-                (run / "run.json").write_text("[1]", encoding="utf-8")
-    return way
+def option(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """A command of the corpus with one to three broken words."""
+    if rng.random() < 0.15:
+        return _hostile_output(rng, folder)
+    words, files = rng.choice(CORPUS) if rng.random() < 0.85 else (list(rng.choice(OTHERS)), {})
+    words, about = _put(folder, valid, words, files), []
+    for _ in range(rng.choice([1, 1, 2, 3])):
+        after = [at for at, word in enumerate(words, start=1) if at > 1 and word.startswith("--")]
+        at, value = (
+            rng.choice(after or [len(words)]),
+            rng.choice([rng.choice(NUMBERS), rng.choice(WORDS), *(rng.choice(PAIRS)[1].strip('"') for _ in range(2))]),
+        )
+        match rng.choice([*["value", "option", "set"] * 4, "gone", "twice", "more"]):
+            case "value":
+                words[at : at + 1] = [value]
+            case "option" if OPTIONS[words[0]]:
+                name, takes_value = rng.choice(OPTIONS[words[0]])
+                words += [name, *[value] * (takes_value and rng.random() < 0.9)]
+            case "set":
+                words += ["--set", f"{rng.choice(KEYS)}={value}"]
+            case "gone":
+                words = words[:at] + words[at + 1 :]
+            case "twice":
+                words.insert(at, rng.choice(words))
+            case _:
+                words.insert(at, rng.choice([value, f"--{value}", "-x", "--h=", "--json"]))
+        about.append(value[:30])
+    words = [word for word in words if word not in ("--", "--help", "--output")]
+    if words[0] == "solve" and rng.random() < 0.4:
+        words.append("--")
+        for name in rng.choices(PETSC, k=rng.choice([1, 1, 2, 3])):
+            words += [f"-{name}", *[rng.choice(FOR_PETSC)] * (rng.random() < 0.9)]
+    return _finished(rng, words, ", ".join(about))
+
+
+def _hostile_output(rng: random.Random, folder: Path) -> Broken:
+    """An output folder that is not a folder or belongs to others; all of them must be refused."""
+    (folder / "photos").mkdir()
+    shutil.copyfile(folder / "notes.txt", folder / "photos" / "photo.png")
+    (folder / "loop").symlink_to("loop")
+    (folder / "readonly").touch()  # a file instead of a folder stops even root
+    place = rng.choice(HOSTILE_OUTPUTS)
+    command = rng.choice([["solve", "example1", "--h", "1/4"], ["adapt", "example1", "--max-cells", "30"]])
+    return Broken([*command, "--output", place], f"output {place[:40]!r}", refused=True)
+
+
+FILES = (".petscrc", "petscrc", "dolfinx_jit_options.json", "ffcx_options.json")
+CONFIGURATIONS = (
+    "-ksp_type nonsense\n", "-help\n", "-ksp_max_it 1 -ksp_type cg -pc_type none\n-snes_atol 1\n", "[", "[]", "{}",
+    '{"cffi_extra_compile_args": "-O0"}', '{"scalar_type": "complex128"}', '{"timeout": "x"}', "\0", "é" * 400,
+    '{"sum_factorization": true, "table_atol": 10.0, "table_rtol": 10.0}',
+)  # fmt: skip
+
+
+def configuration(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """Files of PETSc's and DOLFINx's options in the current folder, which count only with --local-options."""
+    about = []
+    for name in rng.sample(FILES, rng.choice([1, 1, 2])):
+        if rng.random() < 0.35:
+            about.append(make_odd(rng, folder / name))
+        else:
+            text = rng.choice(CONFIGURATIONS)
+            (folder / name).write_text(text, encoding="utf-8")
+            about.append(f"{name}: {text[:30]!r}")
+    asked = rng.random() < 0.5
+    words = ["solve", "example1", "--h", "1/4", "--output", OUTPUT, *["--local-options"] * asked]
+    return Broken(words, ", ".join(about), solved=not asked)
+
+
+def killed(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """A run that is killed at any time; the next one solves the case, with or without an earlier result there."""
+    words = ["solve", "example1", "--h", "1/8", *rng.choice([[], ["--plot"], ["--html"]]), "--output", OUTPUT]
+    seconds = rng.uniform(0, 1.5)
+    return Broken(words, f"after {seconds:.3f} s", solved=True, earlier=rng.random() < 0.7, killed=seconds)
+
+
+def grammatical(rng: random.Random, depth: int) -> str:
+    """An expression of the grammar, nested up to this depth."""
+    if depth <= 0 or rng.random() < 0.1:
+        return rng.choice(["x", "y", "x", "y", "z", "pi", str(rng.randint(0, 9)), f"{rng.uniform(-1e3, 1e3):g}"])
+    a, b, c, d = (grammatical(rng, depth - rng.randint(1, 3)) for _ in range(4))
+    return rng.choice(
+        [
+            f"({a} {rng.choice(['+', '-', '*', '/', '**', '^'])} {b})",
+            f"-{a}",
+            f"{rng.choice(FUNCTIONS)}({a})",
+            f"{rng.choice(['min', 'max', 'atan2'])}({a}, {b})",
+            f"({a} if {b} {rng.choice(['<', '<=', '>', '>=', '==', '!='])} {c} else {d})",
+            f"({a} if {b} < {c} and not {c} > {d} or {a} < 1 else {d})",
+            f"({a})^{rng.randint(0, 40)}",
+        ]
+    )
+
+
+FUNCTIONS = ("sin", "cos", "tan", "tanh", "atan2", "exp", "log", "sqrt", "abs", "min", "max")
+TOKENS = (
+    *FUNCTIONS, *"xyz+-*/^%@&|~()[]{}<>=!,.:;#'\"\\ \n\t\0", "pi", "**", "//", "<=", "==", "->", ":=", "...", "if",
+    "else", "and", "or", "not", "in", "is", "lambda", "for", "await", "yield", "None", "True", "f'{x}'", "b'1'",
+    "import os", "__import__", "__class__", "eval", "w", "ａ", "π", "²", "∞", "−", "\ud800", "\u202e", "🦆", "7j",
+    "31", "1e-320",
+)  # fmt: skip
+NESTS = ("({})", "-{}", "sin({})", "1+({})", "{}+x", "{}**2", "({})**2", "[{}]", "not {}", "{} < x", "max(x,{})",
+         "1/{}", "x.{}", "x if x < 0 else {}", "1 if {} else 2")  # fmt: skip
+
+
+def text_of_expression(rng: random.Random) -> str:
+    """A valid or a spoilt expression, tokens in any order, deep nesting, numbers, or letters; rarely a long one."""
+    if rng.random() < 0.01:
+        return rng.choice(["x+", "(", "1", "x ", "sin(", " "]) * rng.choice([400, 1000, 10_000, 1_000_000]) + "x"
+    match rng.choice(["valid", "valid", "soup", "soup", "spoilt", "spoilt", "deep", "numbers", "strange"]):
+        case "valid":
+            return grammatical(rng, rng.randint(1, 12))
+        case "soup":
+            return rng.choice(["", " "]).join(rng.choices((*TOKENS, *NUMBERS), k=rng.randint(1, 30)))
+        case "spoilt":
+            text = list(grammatical(rng, 6))
+            for _ in range(rng.randint(1, 3)):
+                i = rng.randrange(len(text))
+                text[i] = rng.choice(["", text[i] * 2, text[i - 1], rng.choice(TOKENS), chr(rng.randrange(0x110000))])
+            return "".join(text)
+        case "deep":
+            before, after = rng.choice(NESTS).split("{}")
+            times = int(10 ** rng.uniform(0, 3.3))
+            return before * times + rng.choice(["x", "y", "2", "x>0"]) + after * times
+        case "numbers":
+            pieces = [rng.choice([*NUMBERS, *"+-*/^", "**", "**x*"]) for _ in range(rng.randint(3, 11))]
+            return "".join(pieces)
+    return "".join(chr(rng.choice([rng.randrange(128), rng.randrange(0x110000)])) for _ in range(rng.randint(0, 40)))
+
+
+EXPRESSION = """[geometry]
+shape = "square"
+mesh = "structured"
+[boundary]
+signorini = ["bottom"]
+neumann = ["left"]
+[problem]
+{problem}
+[solve]
+h = 0.75
+{exact}
+"""
+
+
+def expression(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """A case or an option with a random text."""
+    text = text_of_expression(rng).encode(errors="ignore").decode()
+    key = rng.choice(["f", "kappa", "psi", "u_D", "g_N", "q_S", "c", "obstacle", "u", "h"])
+    about = f"{key} = {text[:40]!r}"
+    if key == "h":
+        return _finished(rng, ["info", "example1", "--h", text[:20_000]], about)
+    line = f"{key} = {json.dumps(text, ensure_ascii=False)}".replace("\x7f", "\\u007f")
+    problem = {"f": line} if key == "f" else {"f": 'f = "10*(x - 0.4)"', key: "" if key == "u" else line}
+    exact = f"[exact]\n{line}" if key == "u" else ""
+    content = EXPRESSION.format(problem="\n".join(problem.values()), exact=exact)
+    (folder / "case.toml").write_text(content, encoding="utf-8")
+    return _finished(rng, [rng.choice(["info", "solve"]), "case.toml"], about)
+
+
+ACROSS = {"signorini": ["bottom"], "neumann": ["top"]}
+DOWN = {"signorini": ["bottom"], "neumann": ["left", "right"]}
+OPEN = {"signorini": ["bottom", "top"], "neumann": ["right"]}
+LAW = {"neumann": ["left", "right"]}
+PULSES: dict[str, tuple[dict[str, str], dict[str, list[str]], str, Callable[[Array, Array], float]]] = {
+    "f": ({"f": "{w}"}, ACROSS, "x", lambda w, x: _on_interval(f=w)),
+    "c": ({"c": "{w}", "u_D": "1"}, ACROSS, "x", lambda w, x: _on_interval(c=w, ends=(1, 1))),
+    "kappa": ({"kappa": "1/(1 + {w})", "u_D": "x"}, ACROSS, "x", lambda w, x: _on_interval(1 / (1 + w), ends=(0, 1))),
+    "g_N": ({"g_N": "{w}"}, OPEN, "y", lambda w, x: w.mean()),
+    "q_S": ({"q_S": "{w}"}, DOWN, "x", lambda w, x: w.mean()),
+    "u_D": ({"u_D": "{w}*(1 - x)"}, ACROSS, "y", lambda w, x: w.mean()),
+    "psi": ({"psi": "{w}", "u_D": "-2"}, DOWN, "x", lambda w, x: 2 + w.mean()),
+    "obstacle": ({"obstacle": "{w}*x*(1 - x)"}, ACROSS, "x", lambda w, x: 12**0.5 * (w * x * (1 - x)).mean()),
+    "g": ({"u_D": "1"}, LAW, "x", lambda w, x: w.mean()),
+}
+"""For pulses in each datum: the data, the parts of the boundary, the coordinate, and ‖σ‖ or a lower bound of it."""
+POINTS = 400_000
+"""Intervals of the fine grid on which integrals are computed."""
+
+
+def pulses(rng: random.Random, folder: Path, valid: Valid) -> Broken:
+    """A case with pulses in one datum, of which a guaranteed bound must not be below the error."""
+    kind = rng.choice(list(PULSES))
+    data, sides, axis, norm = PULSES[kind]
+    height = 10 ** (rng.uniform(-2, -0.1) if kind == "g" else rng.uniform(-2, 3))
+    place, width, sharp = rng.choice([0.3, 1 / 3, 0.5, rng.random()]), 10 ** rng.uniform(-3.5, -1), rng.uniform(1, 150)
+    wave = f"cos(2*pi*{rng.choice([3, 4, 8, 16, 20, 32, 64, 128])}*{axis} - {rng.uniform(0, 6.3)!r})"
+    one = f"abs({axis} - {place!r})/{width!r}"
+    trains = [f"exp(-({one})^2)", f"max(0, 1 - {one})", f"(1 if {one} < 1 else 0)", f"sqrt(max(0, 1 - ({one})^2))"]
+    trains += [f"exp({sharp!r}*({wave} - 1))", f"max(0, {wave} - 0.9)*10", f"((1 + {wave})/2)^{rng.randrange(1, 40)}"]
+    w = f"{height!r}*{rng.choice(trains)}"
+    x = (np.arange(POINTS) + 0.5) / POINTS
+    flux = norm(np.broadcast_to(values(read(w, "xy"), np.column_stack([x, x])), x.shape), x)
+    problem = {"f": "0", "psi": repr(-10 - 10 * height)} | {key: text.format(w=w) for key, text in data.items()}
+    lines = ["[boundary]", *(f"{name} = {json.dumps(parts)}" for name, parts in sides.items())]
+    if kind == "g":
+        lines += ["[[law]]", 'kind = "friction"', 'parts = ["bottom"]', f'g = "{w}"']
+        del problem["psi"]
+    lines += ["[problem]", *(f"{name} = {json.dumps(text)}" for name, text in problem.items())]
+    lines += ["[geometry]", 'shape = "square"', f'mesh = "{rng.choice(["structured", "unstructured"])}"']
+    lines += ["[solve]", f"h = {rng.choice([0.4, 0.25, 0.18, 0.125]) * rng.choice([1, 0.97])}"]
+    (folder / "case.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    known = (flux, flux if kind in ("f", "c", "kappa") else np.inf)
+    return Broken(["solve", "case.toml", "--output", OUTPUT], f"{kind}: {w}"[:120], flux=known)
+
+
+def _on_interval(
+    kappa: Array | float = 1.0, c: Array | float = 0.0, f: Array | float = 0.0, ends: tuple[float, float] = (0, 0)
+) -> float:
+    """‖κu'‖ on (0, 1) for −(κu')' + cu = f with u given at both ends, by linear elements on the fine grid."""
+    stiff, mass, load = (np.broadcast_to(values, POINTS) for values in (kappa, c, f))
+    stiff, mass, load = POINTS * stiff, mass / (6 * POINTS), load / (2 * POINTS)
+    beside, load = mass - stiff, load[1:] + load[:-1]
+    load[0] -= beside[0] * ends[0]
+    load[-1] -= beside[-1] * ends[1]
+    diagonal = (stiff + 2 * mass)[1:] + (stiff + 2 * mass)[:-1]
+    inner = solveh_banded(np.array([np.concatenate([[0.0], beside[1:-1]]), diagonal]), load)
+    return float(np.sqrt(np.mean((stiff * np.diff(np.concatenate([ends[:1], inner, ends[1:]]))) ** 2)))

@@ -5,7 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from fuzzing.expressions import valid
+from fuzzing.texts import grammatical
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -62,7 +62,7 @@ def test_enclosures_hold(dim: int, corners: int):
     for seed in range(15):
         rng = np.random.default_rng(seed)
         try:
-            tree = read(valid(random.Random(seed), int(rng.integers(2, 8))), names)
+            tree = read(grammatical(random.Random(seed), int(rng.integers(2, 8))), names)
         except InputError:
             continue
         sizes = 10.0 ** rng.uniform(-3, 0.5, (12, 1, 1))
