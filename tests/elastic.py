@@ -2,7 +2,6 @@
 
 import dolfinx.mesh
 import numpy as np
-import piqp
 import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
@@ -11,12 +10,6 @@ from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, solve
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
-    Cells,
-    compliance_product,
-    reference,
-    to_matrices,
-)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
@@ -77,58 +70,6 @@ def smooth(domain: Domain, nu: float) -> tuple[Expr, Expr, Expr]:
     theta = nu if len(x) == 2 else nu / (1 + nu)
     f = -ufl.div(stress(strain(u), young / (1 + nu), theta))
     return young, u, f
-
-
-def complementary_energy(solution: ElasticSolution) -> np.ndarray:
-    """Stresses that minimise ½(𝔸σ, σ) − ⟨u_D, σn⟩ − ⟨g, σ_nn⟩ over all in balance with σ_nn ≤ 0, |σ_t| ≤ its bound.
-
-    By an interior-point solver for the coefficients on each cell, with no trace and no set.
-    """
-    spaces, data, dim = solution.spaces, solution.data, solution.spaces.dim
-    element, cells = reference(dim), Cells(spaces.vertices)
-    numbers = np.arange(len(spaces.order), dtype=np.int32)
-    number, basis = len(numbers), element.stresses.shape[2]
-    product = compliance_product(cells.stresses(element.stresses), data.masses(spaces, numbers, cells.measure))
-    tractions = cells.tractions(element.tractions).reshape(number, dim + 1, dim, dim, basis)
-    hessian = np.zeros((number * basis, number * basis))
-    facets = np.zeros((spaces.traces.dofmap.index_map.size_local, dim, dim, number * basis))
-    balance = np.zeros((number, (dim + 1) * dim, number * basis))
-    for cell in numbers:
-        mine = slice(cell * basis, (cell + 1) * basis)
-        hessian[mine, mine] = product[cell]
-        balance[cell, :, cell * basis + element.free : (cell + 1) * basis] = np.eye((dim + 1) * dim)
-        for facet, block in enumerate(spaces.dofs[cell]):
-            facets[block, :, :, mine] += tractions[cell, facet]
-    moments = data.moments_of_f(spaces, numbers, cells.measure)
-    given = -np.linalg.solve(cells.derivative, moments.transpose(0, 2, 1)).transpose(0, 2, 1)
-    inner = np.setdiff1d(np.arange(len(facets)), np.concatenate([spaces.dirichlet.blocks, spaces.contact.blocks]))
-    normals = spaces.contact.normals
-    along = np.einsum("fair,fi->far", facets[spaces.contact.blocks], normals)
-    shear = facets[spaces.contact.blocks] - along[:, :, None] * normals[:, None, :, None]
-    smooth_rows = np.setdiff1d(np.arange(len(shear)), spaces.rough_rows)
-    equal = np.vstack([balance.reshape(-1, number * basis), facets[inner].reshape(-1, number * basis)])
-    equal = np.vstack([equal, shear[smooth_rows].reshape(-1, number * basis)])
-    tractions = data.load.reshape(-1, dim, dim)[inner]
-    right = np.concatenate([given.ravel(), tractions.ravel(), np.zeros(len(smooth_rows) * dim**2)])
-    # on Γ_D and Γ_C values at vertices are paired with the moments that `facets` gives
-    linear = -np.einsum(
-        "fai,fair->r", data.lift.reshape(-1, dim, dim)[spaces.dirichlet.blocks], facets[spaces.dirichlet.blocks]
-    )
-    dual = (dim + 1) * np.eye(dim) - 1
-    pull = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)  # |e|/d σ_nn at the vertices
-    linear -= data.lift[spaces.site_kinds["normal"].unknown] @ pull
-    solver = piqp.DenseSolver()
-    solver.settings.eps_abs = solver.settings.eps_rel = 1e-11
-    rows, low, high = pull, np.full(len(pull), -np.inf), np.zeros(len(pull))
-    if data.friction:
-        along = np.einsum("fair,fi->far", facets[spaces.rough.blocks], spaces.tangents[:, 0])
-        rub = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)
-        bound = spaces.site_kinds["slip"].measure * data.friction.bound.ravel()
-        rows, low, high = np.vstack([pull, rub]), np.append(low, -bound), np.append(high, bound)
-    solver.setup(hessian, linear, equal, right, rows, low, high)
-    assert solver.solve() == piqp.PIQP_SOLVED
-    values = np.einsum("nvek,nk->nve", cells.stresses(element.stresses), solver.result.x.reshape(number, basis))
-    return to_matrices(values.reshape(number, dim + 1, dim + 1, -1))
 
 
 def two_boxes(comm: MPI.Comm, n: int, dim: int) -> Domain:

@@ -1,27 +1,21 @@
-"""The displacement of the elastic bound: eliminated inside cells, and nearly as good by few solves with CG."""
+"""The displacement of the elastic bound: nearly the best one by few solves, with CG or not."""
+
+from typing import Any
 
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
-from dolfinx.mesh import exterior_facet_indices
 from elastic import box
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.physics.elasticity.bound import active_terms, conforming
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.quantities.energy import OF_V
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -36,44 +30,13 @@ def pressed(comm: MPI.Comm, dim: int, n: int, **data: object) -> ElasticSolution
     return solve(box(comm, n, [0.0] * dim, [1.0] * dim), ElasticProblem(**given, boundary=boundary))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_no_forces_are_left_inside(dim: int, monkeypatch: pytest.MonkeyPatch):
-    """Off the boundary the derivative of the gap by DOLFINx's form is 0, for an E that varies."""
-    solution = pressed(MPI.COMM_SELF, dim, {2: 4, 3: 2}[dim], young="1 + x + y^2", f=["0.1*y"] + ["0"] * (dim - 1))
-    spaces, y = solution.spaces, admissible_stress(solution)
-    problem = BestDisplacement(spaces, solution.data, y, spaces.split, OF_V[dim])
-    monkeypatch.setattr(conforming, "nearly_minimal", free)  # what is pushed off foundations leaves forces
-    v, _ = problem.minimum()
-    material, space = problem.material, problem.space
-
-    def forces(sigma: Expr) -> Array:
-        off = off_law(v, sigma, material.compliance, material.eigenstrain)
-        form = ufl.derivative(square(material.stiffness, off, 0.5, material.dx), v)
-        found: Array = fem.assemble_vector(fenicsx.form(form)).array.reshape(-1, dim)
-        return found
-
-    inner = np.ones(space.dofmap.index_map.size_local, dtype=bool)
-    topology = spaces.split.mesh.topology
-    topology.create_connectivity(dim - 1, dim)
-    outer = exterior_facet_indices(topology)
-    inner[fem.locate_dofs_topological(space, dim - 1, outer)] = False
-    assert inner.sum() > 100
-    assert np.abs(forces(problem.sigma)[inner]).max() < 1e-12 * np.abs(forces(0 * problem.sigma)).max()
-
-
-CASES = {
-    "contact": (2, 12, []),
-    "friction": (2, 12, [CoulombLaw(["y0"], 0.2)]),
-    "in space": (3, 3, []),
-    "friction in space": (3, 3, [CoulombLaw(["z0"], 0.2)]),
+CASES: dict[str, tuple[int, int, dict[str, Any]]] = {
+    "contact": (2, 12, {}),
+    "friction": (2, 12, {"laws": [CoulombLaw(["y0"], 0.2)]}),
+    "in space": (3, 3, {}),
+    "friction in space": (3, 3, {"laws": [CoulombLaw(["z0"], 0.2)]}),
+    "nearly incompressible": (2, 8, {"poisson": 0.4999}),  # factorisations do what CG does not
 }
-
-
-def free(problem: BestDisplacement, forces: Array, x: Array) -> Array:
-    """The minimum without the terms."""
-    problem.factorise(np.zeros((*forces.shape, forces.shape[1])))
-    solved = problem.solve(problem.load)
-    return solved + problem.solve(problem.load - problem.times(solved))
 
 
 def to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,28 +45,23 @@ def to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(active_terms, name, value)
 
 
-def nearly(solution: ElasticSolution, monkeypatch: pytest.MonkeyPatch, *, by_cg: bool = True) -> tuple[float, float]:
-    """The bound at the minimum, and that by few solves."""
-    with monkeypatch.context() as here:
-        to_the_end(here)
-        bound = certify(solution).bound
-    with monkeypatch.context() as here:
-        if by_cg:
-            here.setattr(conforming, "MANY", {2: 0, 3: 0})
-        return bound, certify(solution).bound
+def check_near(solution: ElasticSolution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By few solves, by CG or not, the bound is at most half a per cent above the least."""
+    with monkeypatch.context() as exact:
+        to_the_end(exact)
+        least = certify(solution).bound
+    found = [certify(solution).bound]
+    with monkeypatch.context() as by_cg:
+        by_cg.setattr(conforming, "MANY", {2: 0, 3: 0})
+        found.append(certify(solution).bound)
+    assert all(least * (1 - 1e-5) <= bound <= 1.005 * least for bound in found)
 
 
-@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("name", CASES)
 def test_few_solves_are_enough(name: str, monkeypatch: pytest.MonkeyPatch):
-    """By few solves, by CG or not, the bound is at most half a per cent above the least."""
-    dim, n, laws = CASES[name]
-    bounds = [nearly(pressed(comm, dim, n, laws=laws), monkeypatch) for comm in (MPI.COMM_SELF, COMM)]
-    for best, found in bounds:
-        assert best * (1 - 1e-5) <= found <= 1.005 * best
-    best, found = nearly(pressed(COMM, dim, n, laws=laws), monkeypatch, by_cg=False)
-    assert best * (1 - 1e-5) <= found <= 1.005 * best
-    assert bounds[1][1] == pytest.approx(bounds[0][1], rel=1e-3)
+    """In the plane and in space, with friction, and towards ν = ½."""
+    dim, n, given = CASES[name]
+    check_near(pressed(COMM, dim, n, **given), monkeypatch)
 
 
 class Dense:
@@ -172,7 +130,7 @@ class Dense:
 
 
 @pytest.mark.parallel([1])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_minimum_is_that_of_the_dual_problem(seed: int, monkeypatch: pytest.MonkeyPatch):
     """Few solves come near the minimum, and more of them to it, from forces that are off by a fifth."""
     terms = Dense(seed)
@@ -191,17 +149,9 @@ def test_the_minimum_is_that_of_the_dual_problem(seed: int, monkeypatch: pytest.
     assert found() == pytest.approx(1, abs=2e-6)
 
 
-@pytest.mark.parametrize("name", ["stack", "hertz"])
-def test_two_bodies_and_friction(name: str, monkeypatch: pytest.MonkeyPatch):
-    """For shipped cases, where two bodies touch and with friction, too."""
-    best, found = nearly(solve_case(load_case(name)), monkeypatch)
-    assert best * (1 - 1e-5) <= found <= 1.005 * best
-
-
-def test_bodies_that_nearly_keep_their_volume(monkeypatch: pytest.MonkeyPatch):
-    """Towards ν = ½ factorisations do what CG does not."""
-    best, found = nearly(pressed(COMM, 2, 8, poisson=0.4999), monkeypatch)
-    assert best * (1 - 1e-5) <= found <= 1.005 * best
+def test_bodies_with_friction_between_them(monkeypatch: pytest.MonkeyPatch):
+    """For a shipped case, too."""
+    check_near(solve_case(load_case("stack")), monkeypatch)
 
 
 def test_a_factorisation_that_fails_late(monkeypatch: pytest.MonkeyPatch):

@@ -72,16 +72,3 @@ def test_second_step():
     )
     assert certificate.proved
     assert error < certificate.sigma_bound < 2.5 * error
-
-
-@pytest.mark.parallel(2)
-def test_ranks_do_not_matter():
-    """The same bounds of two steps on several ranks."""
-    found = []
-    for comm in (COMM, MPI.COMM_SELF):
-        domain, bounds = build_domain(comm, "square", 0.3, mesh="structured"), StepBounds()
-        evolution = Evolution(0.1, 2, "sin(3*x)", "1 if x + y < 0.77 else 100", "bdf2")
-        steps = evolve(domain, Diffusion(f=10, conditions=CONTACT), evolution)
-        found.append([bounds.certify(instant).numbers() for instant in steps])
-    for together, alone in zip(*found, strict=True):
-        assert together == pytest.approx(alone, rel=1e-10, abs=1e-12)

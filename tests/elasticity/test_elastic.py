@@ -1,13 +1,11 @@
-"""Elastic contact: the element against its forms, exact solutions with rates, a quadratic programme."""
+"""Elastic contact: exact solutions with rates, materials up to ν = ½, what is refused."""
 
 from dataclasses import replace
 
 import dolfinx.mesh
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
-from elastic import box, complementary_energy, half_plane_contact, smooth
+from elastic import box, half_plane_contact, smooth
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
@@ -16,62 +14,13 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.chains import Condition, Penalty
 from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.contact.set_rules import SetRule
-from signorini_fenicsx.discrete.linear_traces import opposite
-from signorini_fenicsx.forms.elasticity import hellinger_reissner, product, strain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
-    Cells,
-    compliance_product,
-    reference,
-    to_matrices,
-)
-from signorini_fenicsx.physics.elasticity.discrete.spaces import build_elastic_spaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 UNIT = {2: ([0.0, 0.0], [1.0, 1.0]), 3: ([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])}
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_element_is_that_of_the_forms(dim: int):
-    """Products, divergences and tractions of random stresses are what UFL makes of them on the split mesh."""
-    domain = box(COMM, 2, *UNIT[dim])
-    spaces = build_elastic_spaces(domain, ElasticBoundary(["y0"]))
-    young, poisson = "2 + x + y^2", "0.3 + x/10"
-    data = elastic_data(spaces, ElasticProblem(young=young, poisson=poisson))
-    element, cells = reference(dim), Cells(spaces.vertices)
-    assert (element.stresses.shape[2], element.free) == {2: (15, 9), 3: (42, 30)}[dim]
-
-    rng = np.random.default_rng(dim)
-    numbers = np.arange(len(spaces.order), dtype=np.int32)
-    one, other = rng.normal(size=(2, len(numbers), element.stresses.shape[2]))
-    basis = cells.stresses(element.stresses)
-    shape = (len(numbers), dim + 1, dim + 1, -1)
-    sigma, tau = (
-        spaces.split.stress(to_matrices(np.einsum("nvek,nk->nve", basis, a).reshape(shape))) for a in (one, other)
-    )
-    products = compliance_product(basis, data.masses(spaces, numbers, cells.measure))
-    x = ufl.SpatialCoordinate(spaces.split.mesh)
-    nu = 0.3 + x[0] / 10
-    theta, on_diagonal = nu if dim == 2 else nu / (1 + nu), [1] * dim + [0] * (dim * (dim - 1) // 2)
-    trace = ufl.as_vector(on_diagonal)
-    compliance = (1 + nu) / (2 + x[0] + x[1] ** 2) * (ufl.Identity(len(on_diagonal)) - theta * ufl.outer(trace, trace))
-    dx = ufl.dx(metadata={"quadrature_degree": 10})
-    form = fem.assemble_scalar(fem.form(product(compliance, sigma, tau, dx)))
-    assert np.einsum("nk,nkl,nl->", one, products, other) == pytest.approx(form, rel=1e-7)
-
-    slope = rng.normal(size=(dim, dim))
-    u = ufl.dot(ufl.as_matrix(slope.tolist()), x)
-    twice = hellinger_reissner(sigma, u, sigma, u, compliance, dx) - product(compliance, sigma, sigma, dx)
-    twice += 2 * ufl.inner(sigma, strain(u)) * dx
-    work = fem.assemble_scalar(fem.form(twice)) / 2  # Σ ⟨u, σn⟩ around the cells
-    on_facets = (spaces.vertices @ slope.T)[:, opposite(dim)].reshape(len(numbers), -1)
-    tractions = np.einsum("nik,nk->ni", cells.tractions(element.tractions), one)
-    assert np.einsum("ni,ni->", on_facets, tractions) == pytest.approx(work, rel=1e-12)
 
 
 def linear_problem(dim: int, nu: float) -> tuple[np.ndarray, list[str], list[str]]:
@@ -118,7 +67,7 @@ def test_smooth_solution_has_full_order(dim: int, nu: float):
 
 @pytest.mark.parametrize("nu", [0.3, 0.4999])
 def test_contact_with_a_singular_solution(nu: float):
-    """σ ~ r^½ at the end of the contact set: order 3/2, few updates, the set within a cell."""
+    """σ ~ r^½ at the end of the contact set: order 3/2, few updates, the set within a cell, a bound near the error."""
     errors, u = [], half_plane_contact(nu)
     for n in (8, 16):
         domain = box(COMM, n, [-1.0, 0.0], [1.0, 1.0])
@@ -126,28 +75,14 @@ def test_contact_with_a_singular_solution(nu: float):
         assert len(solution.outcome.history) <= 7
         assert solution.pressure.min(initial=0.0) > -1e-10
         errors.append(solution.errors())
+        if n == 8:  # by quadratics alone the bound is 1.63 times the error
+            certificate = certify(solution)
+            assert errors[0]["energy"] <= certificate.sigma_bound < 1.27 * errors[0]["energy"]
+            assert not certificate.guaranteed  # enclosures do not see that (r − x)/2 has a root
+            assert certificate.unresolved[0][0] == "u_D"
     assert errors[1]["energy"] < 3e-3
     assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 1.4
     assert errors[1]["contact_hausdorff"] <= 1 / 16
-
-
-def pressed(comm: MPI.Comm, n: int = 2, nu: float = 0.4) -> ElasticSolution:
-    """A block that a load presses onto a foundation with a curved gap and lifts off elsewhere."""
-    domain = box(comm, n, [-1.0, 0.0], [1.0, 1.0])
-    problem = Elasticity(
-        "1 + x^2",
-        nu,
-        f=["0", "-0.1*(1 + x + y)"],
-        conditions=[Contact("y0", "0.1*(x - 0.2)^2"), Neumann(["y1", "x1"], ["0.02", "-0.1"])],
-    )
-    return solve(domain, problem)
-
-
-def test_quadratic_programme_finds_the_same():
-    """An interior-point solver minimises the complementary energy to the same stresses."""
-    solution = pressed(MPI.COMM_SELF)
-    assert 0 < solution.contact[0] < solution.touching.size
-    np.testing.assert_allclose(solution.stresses, complementary_energy(solution), atol=1e-7)
 
 
 def test_second_algorithm_and_regions():
@@ -174,40 +109,16 @@ def pressed_more(p: np.ndarray, flux: np.ndarray, rho: float) -> np.ndarray:
     return np.where(flux > rho * p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
 
 
-def test_plane_stress_and_strain():
-    """A block that a uniform pressure flattens becomes wider by ν in plane stress, by ν/(1 − ν) in plane strain."""
-    domain = box(COMM, 2, [0.0, 0.0], [2.0, 1.0])
-    for plane, flatter, wider in (("stress", 1.0, 0.3), ("strain", 1 - 0.3**2, 0.3 * 1.3)):
-        g_N = ["0", "-0.1 if y > 1 - 1e-9 else 0"]
-        exact = [f"{0.1 * wider}*x", f"{-0.1 * flatter}*y"]
-        solution = solve(
-            domain,
-            Elasticity(
-                1.0,
-                0.3,
-                plane=plane,
-                exact=exact,
-                conditions=[Contact("y0"), Dirichlet("x0", 0, components="x"), Neumann(["x1", "y1"], g_N)],
-            ),
-        )
-        errors = solution.errors()
-        assert errors is not None
-        assert errors["u_L2"] < 1e-13
-        assert solution.norms()["contact_force"] == pytest.approx(0.2)
-
-
-@pytest.mark.parametrize("given", [{"gap": 1.0}, {"gap": "x^2/2"}, {"u_D": ["0.1", "0"]}])
-def test_a_body_at_rest(given: dict[str, object]):
-    """Without loads σ is 0 up to rounding; that of a small compression is right, also behind a large motion."""
-    domain, boundary = box(COMM, 2, *UNIT[2]), ElasticBoundary(["y0"], neumann=["x1", "y1"])
-    assert solve(domain, ElasticProblem(2.0, 0.3, **given, boundary=boundary)).norms()["sigma_L2"] < 1e-13
+def test_a_small_compression_behind_a_large_motion():
+    """The stress of a small compression is right, and without any it is 0 up to rounding."""
+    domain, sides = box(COMM, 2, *UNIT[2]), Neumann(["x1", "y1"], 0)
+    moved = Elasticity(2.0, 0.3, u_D=["0.1", "0"], conditions=[Contact("y0"), sides])
+    assert solve(domain, moved).norms()["sigma_L2"] < 1e-13
     far, near = (
-        solve(
-            domain, Elasticity(2.0, 0.3, u_D=["0", top], conditions=[Contact("y0", gap), Neumann(["x1", "y1"], 0)])
-        ).norms()["contact_force"]
+        solve(domain, Elasticity(2.0, 0.3, u_D=["0", top], conditions=[Contact("y0", gap), sides]))
         for top, gap in (("1 - 1e-9*y", -1), ("-1e-9*y", 0))
     )
-    assert far == pytest.approx(near, rel=1e-5)
+    assert far.norms()["contact_force"] == pytest.approx(near.norms()["contact_force"], rel=1e-5)
 
 
 def complaint(boundary: ElasticBoundary, **data: object) -> str:
@@ -275,7 +186,7 @@ def test_what_is_given_must_not_pass_the_foundation():
 
 def test_nearly_incompressible():
     """The stress of a compression is right for each ν below ½; at 0.4999999 the run failed."""
-    for nu in (0.4999, 0.4999999, 0.499999999):
+    for nu in (0.4999999, 0.499999999):
         problem = Elasticity(1.0, nu, u_D=["0", "-0.05"], conditions=[Contact("y0"), Neumann(["x0", "x1"], 0)])
         solution = solve(box(COMM, 4, *UNIT[2]), problem)
         assert solution.norms()["contact_force"] == pytest.approx(0.0752, abs=0.003)

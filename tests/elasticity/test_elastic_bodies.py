@@ -1,4 +1,4 @@
-"""Elastic bodies that touch: patch tests, a second program, symmetry, a crack, a stack, wrong files."""
+"""Elastic bodies that touch: patch tests, a crack, a stack, sides, wrong files."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,6 @@ from signorini_fenicsx import (
     Contact,
     Diffusion,
     Dirichlet,
-    Domain,
     Elasticity,
     Friction,
     Neumann,
@@ -32,7 +31,6 @@ from signorini_fenicsx import (
     solve_case,
 )
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -75,19 +73,6 @@ def test_files_and_starts(folder: Path):
     assert solve_case(case, start=read).norms() == pytest.approx(solution.norms(), rel=1e-9)
 
 
-def test_two_cylinders_are_one_on_a_plane():
-    """By symmetry each of two equal bodies is as one that half of the displacement presses onto a rigid plane."""
-    both = solve_case(load_case("two_cylinders"))
-    upper = build_domain(MPI.COMM_SELF, "square", np.sqrt(2) / 16 * (1 + 1e-9), mesh="structured", diagonal="left")
-    held = [Dirichlet("left", 0, components="x"), Dirichlet("top", [0.0, -0.025], components="y")]
-    one = solve(upper, Elasticity(1.0, 0.3, conditions=[Contact("bottom", "x^2/2"), *held, Neumann("right", 0)]))
-    norms = one.norms()
-    assert both.norms()["contact_force"] == pytest.approx(norms["contact_force"], rel=2e-3)
-    assert both.norms()["energy"] ** 2 == pytest.approx(2 * norms["energy"] ** 2, rel=2e-3)
-    assert both.certify().guaranteed
-    assert both.touching.sum() == one.touching.sum()
-
-
 def test_a_crack_in_rock():
     """In a large plane pressure and largest slip are those of an infinite one, within what the boundary changes."""
     solution = solve_case(load_case("rock"))
@@ -119,24 +104,16 @@ def test_a_body_that_nothing_holds(folder: Path):
         solve_case(case)
 
 
-def from_python(comm: MPI.Comm) -> Domain:
-    """Two blocks on a mesh of DOLFINx, cut along their common side."""
-    mesh = dolfinx.mesh.create_rectangle(comm, [[0.0, -0.5], [1.0, 0.5]], [4, 4])
-    walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, -0.5), "top": (1, 0.5), "fault": (1, 0.0)}
-    parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
-    regions = {"upper": lambda x: x[1] > -1e-9, "lower": lambda x: x[1] < 1e-9}
-    return domain_of(mesh, parts, regions, inner=["fault"])
-
-
 @pytest.mark.parallel([1, 2])
 def test_bodies_from_python():
     """A mesh of DOLFINx, with ghosts on several ranks, is cut along a part inside; both physics have laws there."""
     apart = Contact("fault", gap="0.2*(x - 0.5)^2", friction=Tresca(0.005), side="upper")
     held = [Dirichlet("top", ["0.02", "-0.04"]), Dirichlet("bottom", 0), Neumann(["left", "right"])]
     body = Elasticity(young={"upper": 1.0, "lower": 2.0}, poisson=0.3, conditions=[apart, *held])
-    compare_with(solve(from_python(COMM), body), solve(from_python(MPI.COMM_SELF), body))
+    domain, of_one_rank = two_boxes(COMM, 4, 2), two_boxes(MPI.COMM_SELF, 4, 2)
+    compare_with(solve(domain, body), solve(of_one_rank, body))
     heat = Diffusion(f=1.0, conditions=[Friction("fault", g=0.1), Neumann(["left", "right"])])
-    together, alone = (solve(from_python(comm), heat) for comm in (COMM, MPI.COMM_SELF))
+    together, alone = (solve(each, heat) for each in (domain, of_one_rank))
     assert together.norms() == pytest.approx(alone.norms(), rel=1e-9, abs=1e-12)
     assert together.certify().bound == pytest.approx(alone.certify().bound, rel=1e-9)
 
@@ -166,7 +143,7 @@ def test_wrong_sides_from_python():
 @pytest.mark.parallel([1, 2])
 def test_sides_of_conditions():
     """From the other side a law with two signs is its mirror; a region and a direction name the same side."""
-    domain = from_python(COMM)
+    domain = two_boxes(COMM, 4, 2)
     rest = [Dirichlet("top", "0.1*x"), Neumann(["left", "right"])]
 
     def with_law(psi: float, upper: float, side: Any) -> Solution:
@@ -206,10 +183,13 @@ def test_wrong_files(tmp_path: Path, name: str):
 
 
 def test_command_line(tmp_path: Path):
-    """The summary, the table and the picture of two bodies."""
-    blocks(tmp_path)
+    """The summary, the table with the states of a law, and the picture of two bodies."""
+    blocks(tmp_path, law='kind = "wall", beta = 2')
     done = signorini(tmp_path, "solve", "blocks.toml", "--output", "out", "--plot")
     assert done.returncode == 0, done.stderr
+    assert "on fault" in done.stdout
+    assert "inflow" in done.stdout
+    assert "segment" in (tmp_path / "out" / "contact.csv").read_text(encoding="utf-8").splitlines()[0]
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert summary["norms"]["contact_force"] == pytest.approx(0.1)
     assert (tmp_path / "out" / "deformed.png").stat().st_size > 10_000

@@ -46,7 +46,7 @@ def iterations(solution: ElasticSolution) -> int:
     return max(step.linear_iterations for step in solution.outcome.history)
 
 
-@pytest.mark.parametrize(("dim", "nu", "most"), [(2, 0.3, 21), (2, 0.4999, 28), (3, 0.3, 41), (3, 0.4999, 60)])
+@pytest.mark.parametrize(("dim", "nu", "most"), [(2, 0.4999, 28), (3, 0.3, 41)])
 def test_iterations_do_not_grow(dim: int, nu: float, most: int):
     """From mesh to mesh they stay the same, down to a residual of 1e-13, and hardly more where nothing compresses."""
     found = [iterations(pressed(MPI.COMM_SELF, dim, n, nu)) for n in ((8, 24) if dim == 2 else (2, 4))]

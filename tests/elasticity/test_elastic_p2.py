@@ -12,7 +12,6 @@ from p2 import GAP as OBLIQUE_GAP
 from p2 import LAWS, Box, oblique, solve_p2, stress, stress_norm
 
 from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca
-from signorini_fenicsx import solve as solve_problem
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.solving.solver import solve
@@ -45,31 +44,27 @@ def test_energies_bracket_the_exact_one(dim: int, nu: float):
     assert between[1] < 0.5 * between[0]
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_energies_of_two_bodies(dim: int):
+def test_energies_of_two_bodies():
     """The same for two bodies of different stiffness that are pressed together and tilted, so that one edge opens."""
-    between, last = [], dim - 1
-    f, push, lift = [0.01] + [0.0] * last, [0.0] * last + [-0.1], [0.0] * last + [0.15]
-    sides = [
-        Neumann("right", [str(x) for x in lift]),
-        *([Neumann("back"), Dirichlet("front", 0, components="y")] if dim == 3 else []),
-    ]
-    held = [Dirichlet("left", 0, components="x"), Dirichlet("bottom", 0), Neumann("top", [str(x) for x in push])]
-    fixed = {(last, -0.5): list(range(dim)), (0, 0.0): [0], **({(1, 0.0): [1]} if dim == 3 else {})}
-    for n in (2, 4) if dim == 3 else (4, 8, 16):
-        domain = two_boxes(MPI.COMM_SELF, n, dim)
+    between, f, push, lift = [], [0.01, 0.0], [0.0, -0.1], [0.0, 0.15]
+    held = [Dirichlet("left", 0, components="x"), Dirichlet("bottom", 0)]
+    loads = [Neumann("top", [str(x) for x in push]), Neumann("right", [str(x) for x in lift])]
+    problem = Elasticity(
+        {"upper": 1.0, "lower": 3.0}, 0.3, f=["0.01", "0"], conditions=[Contact("fault", gap=GAP), *held, *loads]
+    )
+    for n in (4, 8, 16):
+        domain = two_boxes(MPI.COMM_SELF, n, 2)
         young = fem.Function(fem.functionspace(domain.mesh, ("DG", 0)))
-        middles = compute_midpoints(domain.mesh, dim, np.arange(len(young.x.array), dtype=np.int32))
-        young.x.array[:] = np.where(middles[:, last] > 0, 1.0, 3.0)
-        conditions = [Contact("fault", gap=GAP), *held, *sides]
-        stiff = {"upper": 1.0, "lower": 3.0}
-        loads = [str(x) for x in f]
-        solution = solve_problem(domain, Elasticity(stiff, 0.3, f=loads, conditions=conditions))
-        other = solve_p2(Box(domain.mesh, young, 0.3, {(last, 0.5): push, (0, 1.0): lift}, fixed, GAP, f), between=True)
+        middles = compute_midpoints(domain.mesh, 2, np.arange(len(young.x.array), dtype=np.int32))
+        young.x.array[:] = np.where(middles[:, 1] > 0, 1.0, 3.0)
+        solution = solve(domain, problem)
+        of_p2 = Box(
+            domain.mesh, young, 0.3, {(1, 0.5): push, (0, 1.0): lift}, {(1, -0.5): [0, 1], (0, 0.0): [0]}, GAP, f
+        )
         norms, certificate = solution.norms(), solution.certify()
         assert certificate.guaranteed
         complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
-        between.append(complementary + other.energy)
+        between.append(complementary + solve_p2(of_p2, between=True).energy)
         assert 0 < certificate.gap < between[-1]
     assert between[-1] < 0.1 * complementary
     assert solution.contact.facets > 0
@@ -77,7 +72,7 @@ def test_energies_of_two_bodies(dim: int):
     assert between[-1] < 0.5 * between[-2]
 
 
-@pytest.mark.parametrize("law", [LAWS[0], *LAWS[2:]], ids=str)
+@pytest.mark.parametrize("law", [LAWS[0], LAWS[3]], ids=str)
 def test_oblique_friction_in_space(law: Tresca | Coulomb):
     """Forces on the plane, and the energy of Tresca's problem, agree with those of P2 better and better."""
     between, off = [], []

@@ -64,7 +64,7 @@ def test_width_of_a_punch_and_of_all():
 @pytest.mark.parallel(2)
 def test_same_on_ranks():
     """On several ranks the numbers are those of one."""
-    together, alone = (cylinder(comm, 12).quantities() for comm in (MPI.COMM_WORLD, MPI.COMM_SELF))
+    together, alone = (cylinder(comm, 8).quantities() for comm in (MPI.COMM_WORLD, MPI.COMM_SELF))
     for found in (together, alone):
         assert found.pop("balance") < 1e-12
     np.testing.assert_allclose(flat(together), flat(alone), rtol=1e-9, atol=1e-11)

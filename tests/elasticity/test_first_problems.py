@@ -71,8 +71,7 @@ def test_steady_progress_is_no_failure():
         bent(Options(max_iterations=9))
 
 
-@pytest.mark.parametrize("friction", [Tresca(1e-8), Coulomb(0.2)], ids=["Tresca", "Coulomb"])
-def test_steady_progress_with_friction_in_space(friction: Tresca | Coulomb):
+def test_steady_progress_with_friction_in_space():
     """Heat bends a bar up; the edge of its contact moves by a cell in a step: more than 50 steps are allowed."""
     mesh = dolfinx.mesh.create_box(MPI.COMM_SELF, [(0, 0, 0), (40, 1, 1)], (40, 1, 1))
     parts = {
@@ -82,7 +81,7 @@ def test_steady_progress_with_friction_in_space(friction: Tresca | Coulomb):
         "free": lambda x: np.isclose(x[1:], 1).any(axis=0) | np.isclose(x[0], 40),
     }
     held = [Dirichlet("left", 0, components="x"), Dirichlet("front", 0, components="y")]
-    conditions = [Contact("bottom", friction=friction), *held, Neumann("free", ["0", "0", "0"])]
+    conditions = [Contact("bottom", friction=Coulomb(0.2)), *held, Neumann("free", ["0", "0", "0"])]
     bar = Elasticity(1.0, 0.3, f=["0", "0", "-3e-8"], eigenstrain="12e-4*z", conditions=conditions)
     solution = solve(domain_of(mesh, parts), bar, Options(predict=False))
     assert len(solution.outcome.history) > 60

@@ -1,4 +1,4 @@
-"""Friction in space: exact states, the law at each vertex, any start, two bodies, bounds, files."""
+"""Friction in space: exact states, the law at each vertex, two bodies, bounds, files, pictures."""
 
 from dataclasses import replace
 from functools import cache
@@ -22,8 +22,6 @@ from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, CoulombLaw
-from signorini_fenicsx.physics.elasticity.discrete import friction
-from signorini_fenicsx.physics.elasticity.discrete.friction import Slipping
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, Elasticity, ElasticProblem, InputError
 from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES
 from signorini_fenicsx.physics.elasticity.show.tables import STATES, ContactTable
@@ -75,15 +73,6 @@ def test_oblique_slip_is_exact(law: Law):
     assert certify(solution).relative < 1e-6
 
 
-def test_oblique_stick_is_exact():
-    """Under less shear than the bound nothing slips."""
-    solution = oblique(COMM, CoulombLaw(["z0"], 0.3), 0.02, 0.0)
-    errors = solution.errors()
-    assert errors is not None
-    assert errors["energy"] < 1e-10
-    assert solution.friction_states()["stick"]["measure"] == pytest.approx(1.0)
-
-
 def twisted(law: Law, options: Options | None = None) -> ElasticSolution:
     """A block that is pressed, tilted, pushed and twisted on a plane."""
     u = ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"]
@@ -123,23 +112,6 @@ def test_the_law_holds_at_each_vertex():
     check_law(solution)
     np.testing.assert_allclose(solution.data.friction.bound, solution.pressure, atol=1e-9)
     assert len(solution.outcome.history) <= 10
-
-
-def test_from_any_start(monkeypatch: pytest.MonkeyPatch):
-    """From random directions and sizes of slip Newton's method finds the same solution."""
-    law, random = Friction(["z0"], g=0.03), np.random.default_rng(0)
-    expected = twisted(law)
-
-    def anywhere(facets: int, _dim: int) -> Slipping:
-        angle, size = random.uniform(0, 2 * np.pi, (facets, 3)), 10 ** random.uniform(-4, 0, (facets, 3))
-        sticks = random.uniform(size=(facets, 3, 1)) < 0.3
-        return Slipping(np.where(sticks, 0.0, np.stack([np.cos(angle), np.sin(angle)], axis=2)), size)
-
-    monkeypatch.setattr(friction.Slipping, "nowhere", anywhere)
-    for _ in range(3):
-        found = twisted(law)
-        np.testing.assert_allclose(found.stresses, expected.stresses, atol=1e-10)
-        assert len(found.outcome.history) <= 40
 
 
 @pytest.mark.parallel([1, 3])

@@ -1,19 +1,11 @@
-"""Bodies that touch against numbers of others: Hertz, Mindlin, also in space, a plate of Code_Aster, cracks in rock."""
+"""Bodies that touch against numbers of others: Hertz, Mindlin, also in space, and a plate of Code_Aster."""
 
-from pathlib import Path
-
-import dolfinx.mesh
 import numpy as np
 import pytest
 from measuring.published import steps, values
-from mpi4py import MPI
 
-from signorini_fenicsx import Coulomb, Elasticity, evolve_case, load_case, solve, solve_case
+from signorini_fenicsx import evolve_case, load_case, solve_case
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.contact.laws import Dirichlet, Neumann
-from signorini_fenicsx.discrete.linear_traces import linear_from_means
-from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.conditions import Contact
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 RADIUS, YOUNG, MU = 8.0, 200.0, 0.3
@@ -54,54 +46,6 @@ def test_cattaneo_and_mindlin():
     assert force == pytest.approx(10, rel=1e-3)
     assert pushed == pytest.approx(2.0, rel=0.02)
     assert abs(push) < 0.1 < np.abs(solution.shear).max()
-
-
-BLOCK = """far = 3; near = {near}; s = {side}; y = {place};
-Point(1) = {{-8, y + 8*s, 0, far}}; Point(2) = {{8, y + 8*s, 0, far}}; Point(3) = {{8, y, 0, far}};
-Point(4) = {{-8, y, 0, far}}; Point(5) = {{-0.8, y, 0, near}}; Point(6) = {{0.8, y, 0, near}};
-Line(1) = {{1, 2}}; Line(2) = {{2, 3}}; Line(3) = {{3, 6}}; Line(4) = {{6, 5}}; Line(5) = {{5, 4}}; Line(6) = {{4, 1}};
-Curve Loop(1) = {{1, 2, 3, 4, 5, 6}}; Plane Surface(1) = {{1}};
-Physical Curve("far") = {{1}}; Physical Curve("sides") = {{2, 6}}; Physical Curve("face") = {{3, 4, 5}};
-Physical Surface("all") = {{1}};
-"""
-APART = """physics = "elasticity"
-[geometry]
-bodies = {up = "up.geo", low = "low.geo"}
-[boundary]
-neumann = ["up.sides", "low.sides"]
-[[pair]]
-slave = "up.face"
-master = "low.face"
-kind = "friction"
-mu = 0.3
-gap = "x^2/8"
-[problem]
-young = 200
-poisson = 0.3
-u_D = {"up.far" = ["0.06*(t - 1)", -0.1841], "low.far" = [0, 0]}
-[time]
-end = 2
-steps = 2
-"""
-
-
-def test_cattaneo_and_mindlin_with_bodies_apart(tmp_path: Path) -> None:
-    """Two blocks 0.1 apart whose facets do not match: pressure, shear and what sticks are those of half-planes."""
-    for name, about in (
-        ("up", {"near": 0.05, "side": 1, "place": 0.1}),
-        ("low", {"near": 0.04, "side": -1, "place": 0}),
-    ):
-        (tmp_path / f"{name}.geo").write_text(BLOCK.format(**about))
-    (tmp_path / "apart.toml").write_text(APART)
-    *_, last = (instant.solution for instant in evolve_case(load_case(tmp_path / "apart.toml")))
-    x, measure = on_contact(last)
-    push, force = last.resultants()["low.face"][0], last.norms()["contact_force"]
-    a, p0 = hertz(force, YOUNG / (2 * (1 - 0.3**2)))
-    c = a * np.sqrt(1 - push / (MU * force))
-    shear = -MU * p0 * (ellipse(x, a) - c / a * ellipse(x, c))
-    assert (measure * np.abs(last.pressure - p0 * ellipse(x, a))).sum() < 0.02 * force
-    assert (measure * np.abs(last.shear - shear)).sum() < 0.03 * MU * force
-    assert (measure * (last.touching & (last.states == 1))).sum() / 2 == pytest.approx(c, abs=0.03)
 
 
 def test_cylinders_of_unequal_materials():
@@ -145,25 +89,6 @@ def test_a_plate_of_code_aster():
     u = solution.at(np.array([[x, 0.0] for x in (*PLATE, 11.25e-3)])).u[:, 0]
     np.testing.assert_allclose(u[:-1], list(PLATE.values()), rtol=5e-3)
     assert u[-1] == pytest.approx(1.541e-5, rel=5e-3)
-
-
-def test_the_plate_in_space():
-    """A slab of the plate between planes that hold it in plane strain has u_x of the plane, and no other slip."""
-    n, side = 12, 0.04
-    mesh = dolfinx.mesh.create_box(MPI.COMM_SELF, [[0.0, 0.0, 0.0], [side, side, side / n]], [n, n, 1])
-    ends = {"left": (0, 0.0), "right": (0, side), "bottom": (1, 0.0), "top": (1, side), "back": (2, 0.0)}
-    ends["front"] = (2, side / n)
-    parts = {name: lambda x, i=i, end=end: np.isclose(x[i], end) for name, (i, end) in ends.items()}
-    held = [Dirichlet("right", 0, components="x"), Dirichlet(["front", "back"], 0, components="z")]
-    loads = [Neumann("top", [0.0, -5e7, 0.0]), Neumann("left", [15e7, 0.0, 0.0])]
-    rubs = Contact("bottom", friction=Coulomb(1.0))
-    solution = solve(domain_of(mesh, parts), Elasticity(1.3e11, 0.2, conditions=[*held, *loads, rubs]))
-    x, slip = solution.spaces.contact.vertices[:, :, 0].ravel(), linear_from_means(solution.slip_vectors)
-    places, number = np.unique(np.round(x / side * n).astype(int), return_inverse=True)
-    u = np.bincount(number, slip[:, :, 0].ravel()) / np.bincount(number)
-    found = np.interp([*PLATE, 11.25e-3], places * side / n, u)
-    np.testing.assert_allclose(found, [*list(PLATE.values()), 1.541e-5], rtol=7e-3)
-    assert np.abs(slip[:, :, 2]).max() < 0.01 * u.max()
 
 
 def test_bounds_of_published_values(capsys: pytest.CaptureFixture[str]):

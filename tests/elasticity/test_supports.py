@@ -18,7 +18,6 @@ from signorini_fenicsx.api import (
     InputError,
     Neumann,
     Support,
-    Tresca,
     certify,
     compare,
     load_case,
@@ -238,17 +237,3 @@ def test_intervals_in_a_uniform_state():
         assert found.guaranteed, found.reason
         assert found.lower - 1e-12 <= known <= found.upper + 1e-12
         assert found.width < 1e-7
-
-
-def test_intervals_on_springs():
-    """Those of a body that is pressed onto a rough stop meet those on a finer mesh, which are much shorter."""
-    conditions = [*rocking(2).conditions[:2], Contact("x1", gap=0.01, friction=Tresca(0.02)), rocking(2).conditions[3]]
-    coarse, fine = (
-        solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), Elasticity(1.0, 0.3, conditions=conditions)) for n in (2, 6)
-    )
-    for kind in ON_SPRINGS[2:]:
-        one, other = coarse.quantity(kind), fine.quantity(kind)
-        assert one.guaranteed, one.reason
-        assert max(one.lower, other.lower) <= min(one.upper, other.upper)
-        assert one.lower <= (other.lower + other.upper) / 2 <= one.upper
-        assert other.width < one.width / 3

@@ -78,7 +78,7 @@ def test_roof(force: dict[str, float], tmp_path_factory: pytest.TempPathFactory)
     assert COMM.allreduce(solution.contact.facets) > 0
 
 
-@pytest.mark.parametrize("ending", ["vtu", "msh", "xdmf"])
+@pytest.mark.parametrize("ending", ["msh", "xdmf"])
 def test_round_tool_in_the_plane(ending: str, tmp_path: Path):
     """A polygon in place of a circle, with parts of the top that it does not cover, from files of several kinds."""
     x = np.linspace(0.0, 0.7, 141)
@@ -136,7 +136,6 @@ def test_refusals(tmp_path: Path):
     away = meshio.Mesh(np.array([[9.0, 0, 1], [8, 0, 1], [9, 1, 1]]), [("triangle", np.array([[0, 1, 2]]))])
     away.write(tmp_path / "away.stl")
     for name, message in (
-        ("none.stl", "no such file"),
         ("text.stl", "cannot be read"),
         ("line.vtu", "has no triangles"),
         ("away.stl", "no line along the normal from a vertex of part 'z1' meets it"),

@@ -182,8 +182,6 @@ def test_bolted_joint():
     moved = {tool: about["displacement"]["z"] for tool, about in solution.quantities()["tools"].items()}
     assert moved["washer"] < 0 < moved["head"]
     assert min(state["vertices"] for state in solution.friction_states().values()) > 0
-    all_slips = solve_case(case.with_values({"problem.g_N": {"pulled": [-13, 0, 0]}}))
-    assert all_slips.friction_states()["stick"]["vertices"] == 0  # that slip would have to turn holds the joint
     with pytest.raises(InputError, match=r"slides away, .*: on this motion the loads do the work .* no pressure with"):
         solve_case(case.with_values({"problem.g_N": {"pulled": [-13.5, 0, 0]}}))
 

@@ -1,4 +1,4 @@
-"""The rigorous bound: its formulas and enclosures, its truth for any flux and trace, and its refusals."""
+"""The rigorous bound: its enclosures, its truth for any flux and trace, and its refusals."""
 
 import dataclasses
 import json
@@ -23,7 +23,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.proof import check_size, proof_of
 from signorini_fenicsx.cli.solution_report import above
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
-from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.intervals import enclosing
 from signorini_fenicsx.expressions.reader import read
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.rigorous import simplices
@@ -43,58 +43,6 @@ def quadrature(dim: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric coordinates, shape (points, d + 1), and weights with sum 1."""
     points, weights = basix.make_quadrature(CELLS[dim], degree)
     return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
-
-
-def shapes(lam: np.ndarray) -> np.ndarray:
-    """The basis of P2 in points."""
-    vertices = lam * (2 * lam - 1)
-    edges = [4 * lam[:, i] * lam[:, j] for i, j in EDGES[lam.shape[1] - 1]]
-    return np.column_stack([vertices, *edges])
-
-
-def contains(found: Interval, value: np.ndarray) -> None:
-    """Values agree up to rounding."""
-    size = 1e-13 * np.abs(value).max()
-    assert (found.lo - size <= value).all()
-    assert (value <= found.hi + size).all()
-    assert (found.hi - found.lo <= 1e-10 * np.abs(value).max()).all()
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_formulas(dim: int):
-    """Formulas of integrals, slopes and RT0 against quadrature; Bernstein coefficients against values."""
-    rng = np.random.default_rng(1)
-    vertices = np.eye(dim + 1, dim) + 0.1 * rng.normal(size=(20, dim + 1, dim))
-    cells = simplices.simplices(vertices)
-    lam, weights = quadrature(dim, 4)
-    basis = shapes(lam)
-    nodes = rng.normal(size=(20, basis.shape[1], 2))
-    volume = np.abs(np.linalg.det(vertices[:, 1:] - vertices[:, :1])) / math.factorial(dim)
-    contains(cells.measure, volume)
-    contains(simplices.mean(enclosing(nodes[..., 0]), dim), nodes[..., 0] @ basis.T @ weights)
-    square = (np.einsum("pi,nic->npc", basis, nodes) ** 2).sum(axis=2) @ weights * volume
-    contains(simplices.square_norm(cells, enclosing(nodes)), square)
-
-    coefficients = rng.normal(size=(20, dim + 1, dim + 1))  # of a quadratic x̂·C x̂ with x̂ = (1, x)
-    ends = np.array(EDGES[dim]).T
-    points = np.concatenate([vertices, (vertices[:, ends[0]] + vertices[:, ends[1]]) / 2], axis=1)
-    homogeneous = np.concatenate([np.ones((*points.shape[:2], 1)), points], axis=2)
-    in_nodes = np.einsum("npi,nij,npj->np", homogeneous, coefficients, homogeneous)
-    slope = np.einsum("npj,nij->npi", homogeneous, coefficients + coefficients.transpose(0, 2, 1))[:, : dim + 1, 1:]
-    contains(simplices.gradient_in_vertices(cells, enclosing(in_nodes)), slope)
-    bernstein = simplices.bernstein(enclosing(nodes[..., 0]), dim)
-    as_powers = np.column_stack([lam**2, *(2 * lam[:, i] * lam[:, j] for i, j in EDGES[dim])])
-    contains(Interval(bernstein.lo @ as_powers.T, bernstein.lo @ as_powers.T), nodes[..., 0] @ basis.T)
-
-    fluxes = rng.normal(size=(20, dim + 1))
-    y = np.einsum("ni,nkid->nkd", fluxes, vertices[:, :, None] - vertices[:, None]) / (dim * volume)[:, None, None]
-    contains(simplices.flux_in_vertices(cells, enclosing(fluxes)), y)
-
-
-def test_facet_mean_of_quadratics():
-    lam, weights = quadrature(1, 2)
-    nodes = np.random.default_rng(2).normal(size=(5, 3))
-    contains(simplices.mean(enclosing(nodes), 1), nodes @ shapes(lam).T @ weights)
 
 
 def test_elementary_functions():
@@ -311,7 +259,7 @@ def test_seam():
         prove(discrete, dataclasses.replace(given, psi=read("1.5", "xy")))
 
 
-@pytest.mark.parametrize("above", ["0", "0.3*y", "0.2*sin(x*(1 - x))^2", "y*exp(x)"])
+@pytest.mark.parametrize("above", ["0", "0.2*sin(x*(1 - x))^2"])
 def test_seam_where_u_D_is_psi(above: str):
     """Equal data meet without rounding: summands that both have are left out."""
     psi = "0.05*sin(3*x)*cos(2*y) - 0.1"
