@@ -22,10 +22,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from measuring.problem import PROBLEMS, Problem
 from rich.console import Console
 from rich.table import Table
 
+from measuring.problem import PROBLEMS, Problem
 from signorini_fenicsx.base.text import write_table
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case

@@ -18,6 +18,11 @@ import numpy as np
 import pyamg
 import scipy.sparse as sp
 import skfem
+from ngsolve import ds, dx, grad
+from scipy.sparse.linalg import cg
+from skfem.helpers import dot
+from skfem.models.elasticity import lame_parameters, linear_elasticity
+
 from measuring.problem import (
     BLOCKS,
     POISSON,
@@ -29,10 +34,6 @@ from measuring.problem import (
     kkt_residual,
     primal_dual_active_set,
 )
-from ngsolve import ds, dx, grad
-from scipy.sparse.linalg import cg
-from skfem.helpers import dot
-from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 type Array = np.ndarray
 type Solve = Callable[[Array, Array, Array], Array]

@@ -54,6 +54,22 @@ def test_a_block_that_rests_on_friction(friction: Tresca | Coulomb):
     assert by_descent == isinstance(friction, Tresca)
 
 
+@pytest.mark.parametrize("tilt", [0, 30, -9])
+@pytest.mark.parametrize("friction", FRICTION[:2], ids=["none", "Tresca"])
+def test_a_start_without_contact(tilt: float, friction: Tresca | None):
+    """Contact alone holds a body that its start has lifted: the stress is that of a cold start."""
+    domain = build_domain(COMM, "square", 0.2, mesh="structured")
+    lifted = [Neumann(["left", "right"], ["0", "0"]), Dirichlet("top", ["0", "0.1"])]
+    below = Contact("bottom", "0.002*(1 - cos(20*x))", friction=friction)
+    start = solve(domain, Elasticity(1.0, 0.3, conditions=[below, *lifted]))
+    assert start.norms()["sigma_L2"] < 1e-12
+    held = [Dirichlet("left", 0, components="x"), Neumann(["top", "right"], ["0", "0"])]
+    pressed = Elasticity(1.0, 0.3, f=["0", f"-0.01*(1 + {tilt}*(x - 0.5))"], conditions=[below, *held])
+    found, cold = solve(domain, pressed, start=start), solve(domain, pressed, Options(predict=False))
+    np.testing.assert_allclose(found.sigma.x.array, cold.sigma.x.array, atol=1e-10)
+    assert found.resultants()["bottom"][1] == pytest.approx(0.01, rel=1e-9)
+
+
 def bent(options: Options | None = None) -> ElasticSolution:
     """A bimetal strip that heat lifts off a plane."""
     domain = build_domain(COMM, "[0, 50] x [0, 2]", 1.0, mesh="structured")
