@@ -103,7 +103,7 @@ def test_a_killed_run_goes_on(tmp_path: Path):
     subprocess.run(launch, env=os.environ, capture_output=True, check=False)
     assert sorted(path.name for path in (tmp_path / "x.steps").glob("0*")) == ["000001", "000002", "000003"]
     (tmp_path / "x.steps" / "000004.part").mkdir()
-    for name in ("case.json", "000001/field_u.npy", "000001/row.json", "000002/table_part.npy"):
+    for name in ("case.json", "000001/field_u.npy", "000002/table_part.npy"):
         shutil.copytree(tmp_path / "x.steps", tmp_path / "y.steps")
         damaged = tmp_path / "y.steps" / name
         damaged.write_bytes(damaged.read_bytes()[:-9])
@@ -123,14 +123,13 @@ def test_a_killed_run_goes_on(tmp_path: Path):
     check_files(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("laws", [[], [{"region": "all", "kind": "graph", "corners": [[-0.1, -1], [0.1, 1]]}]])
-def test_a_run_with_linear_u_goes_on(tmp_path: Path, laws: list):
+def test_a_run_with_linear_u_goes_on(tmp_path: Path):
     """A run that was ended goes on with its u at vertices, RT1, and all its files are as those of a whole run."""
-    about = case(**{"solve.element": "RT1", "law": laws})
+    law = {"region": "all", "kind": "graph", "corners": [[-0.1, -1], [0.1, 1]]}
+    about = case(**{"solve.element": "RT1", "law": [law], "time.steps": 3})
     run_in_two(about, tmp_path / "x", 2)
-    run(about, tmp_path / "whole", certify_steps=False, plot=True)
+    run(about, tmp_path / "whole", certify_steps=False)
     assert_same_results(tmp_path / "x", tmp_path / "whole")
-    assert (tmp_path / "whole" / "animation.gif").stat().st_size > 1000
 
 
 def test_all_steps_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
