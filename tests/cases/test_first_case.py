@@ -9,11 +9,9 @@ import pytest
 from commands import signorini
 from mpi4py import MPI
 
-from signorini_fenicsx import __version__
+from signorini_fenicsx import __version__, evolve_case, load_case, solve_case
 from signorini_fenicsx.base.shipped import case_names, data_folder
-from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.first_case import Place, words
-from signorini_fenicsx.cases.solving import evolve_case, solve_case
 
 FIRST = [
     ("--on", "bottom=signorini", "--on", "left,right=neumann"),
@@ -160,10 +158,10 @@ def test_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_shipped_cases_are_printed(tmp_path: Path):
     """What is printed is the case, wherever it is saved."""
     for name in case_names():
-        shown = signorini(tmp_path, "cases", name, "--show").stdout
+        shown, case = signorini(tmp_path, "cases", name, "--show").stdout, load_case(name)
         (tmp_path / f"{name}.toml").write_text(shown, encoding="utf-8")
-        assert load_case(tmp_path / f"{name}.toml") == load_case(name)
-        assert tomllib.loads(shown)["title"] == load_case(name).title
+        assert load_case(tmp_path / f"{name}.toml") == case
+        assert (tomllib.loads(shown)["title"], name) == (case.title, case.name)
     assert signorini(tmp_path, "cases", "dam").stdout.startswith("dam  dam.msh  Seepage")
     for wrong, message in ((["--show"], "give the name of a case"), (["dma", "--show"], "did you mean 'dam'")):
         done = signorini(tmp_path, "cases", *wrong)

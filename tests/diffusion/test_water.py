@@ -1,11 +1,10 @@
 """Probes, sections, the phreatic line, discharges and pictures of water: exact values, any ranks, files, bad input."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import signorini
+from commands import read_rows, signorini
 from in_time import ending_after
 from mpi4py import MPI
 
@@ -225,11 +224,6 @@ initial = 0.9
 """
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def test_files(tmp_path: Path):
     """A case has its readings in tables, summary and report; its checkpoint does without the file of points."""
     (tmp_path / "case.toml").write_text(CASE, encoding="utf-8")
@@ -238,14 +232,14 @@ def test_files(tmp_path: Path):
     assert ended.returncode == 0
     assert "probe wells A" in ended.stdout
     assert "section S" in ended.stdout
-    assert [row["probe"] for row in rows(tmp_path / "out" / "probes.csv")] == ["P", "wells A", "wells B"]
-    (section,) = rows(tmp_path / "out" / "sections.csv")
+    assert [row["probe"] for row in read_rows(tmp_path / "out" / "probes.csv")] == ["P", "wells A", "wells B"]
+    (section,) = read_rows(tmp_path / "out" / "sections.csv")
     assert float(section["measure"]) == pytest.approx(1)
     assert (tmp_path / "out" / "phreatic.xdmf").exists()
-    assert float(rows(tmp_path / "out" / "phreatic.csv")[0]["x"]) == 0
+    assert float(read_rows(tmp_path / "out" / "phreatic.csv")[0]["x"]) == 0
     (tmp_path / "wells.csv").unlink()
     assert signorini(tmp_path, "export", "out", "--output", "again").returncode == 0
-    again, first = (rows(tmp_path / folder / "probes.csv") for folder in ("again", "out"))
+    again, first = (read_rows(tmp_path / folder / "probes.csv") for folder in ("again", "out"))
     assert [float(row["u"]) for row in again] == pytest.approx([float(row["u"]) for row in first], rel=1e-12)
 
 
@@ -258,13 +252,13 @@ def test_steps(tmp_path: Path):
     assert signorini(tmp_path, "solve", "case.toml", "--output", "out", "--restart", "--plot").returncode == 0
     assert (tmp_path / "out" / "phreatic.png").exists()
     assert (tmp_path / "out" / "probes.png").exists()
-    probes = rows(tmp_path / "out" / "probes.csv")
+    probes = read_rows(tmp_path / "out" / "probes.csv")
     assert [(row["step"], row["probe"]) for row in probes] == [
         (str(n), name) for n in (1, 2, 3) for name in ("P", "wells")
     ]
-    assert {row["step"] for row in rows(tmp_path / "out" / "phreatic.csv")} == {"1", "2", "3"}
-    steps = rows(tmp_path / "out" / "steps.csv")
-    section = rows(tmp_path / "out" / "sections.csv")[-1]
+    assert {row["step"] for row in read_rows(tmp_path / "out" / "phreatic.csv")} == {"1", "2", "3"}
+    steps = read_rows(tmp_path / "out" / "steps.csv")
+    section = read_rows(tmp_path / "out" / "sections.csv")[-1]
     assert float(section["flux"]) < 0
     assert float(steps[-1]["inflow left"]) < -float(section["flux"]) < -float(steps[-1]["inflow right"])
     assert [abs(float(row["balance"])) < 1e-12 for row in steps] == [True] * 3

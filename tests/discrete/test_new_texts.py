@@ -11,21 +11,19 @@ from dolfinx import fem
 from made_cases import make_case
 from mpi4py import MPI
 
+from signorini_fenicsx import Diffusion, Neumann, Signorini, certify, solve, solve_case
 from signorini_fenicsx.base.fenicsx import LOADED
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.comparing.convergence import Vary, convergence_study
 from signorini_fenicsx.discrete import points
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, facet_quadrature
 from signorini_fenicsx.expressions.reader import read
+from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 
@@ -124,21 +122,15 @@ def test_vectors_of_one_form_are_apart(folder: Path):
     np.testing.assert_allclose(second, 2 * before)
 
 
-def test_the_normal_in_ufl(folder: Path):
+def test_the_normal_in_ufl():
     """g_N = κ∇u·n in UFL is what it is on the right side, where n is (1, 0), for the certificate too."""
-    case = make_case(folder, parts=["bottom"], f="0", h=0.4).with_values({"boundary.neumann": ["right"]})
-    domain = mesh_case(case, COMM)
+    domain = build_domain(COMM, "square", 0.4, mesh="unstructured")
     x, n = ufl.SpatialCoordinate(domain.mesh), ufl.FacetNormal(domain.mesh)
     u = ufl.sin(x[0]) * x[1]
     bounds = []
     for g_N in (ufl.dot(ufl.grad(u), n), ufl.grad(u)[0], "cos(x)*y"):
-        solution = solve(
-            domain,
-            Problem(
-                f="sin(x)*y", u_D="sin(x)*y", g_N=g_N, psi="-1", boundary=case.posed(domain.mesh.geometry.dim).boundary
-            ),
-        )
-        bounds.append(certify(solution).bound)
+        conditions = [Signorini("bottom", psi=-1), Neumann("right", g_N)]
+        bounds.append(certify(solve(domain, Diffusion(f="sin(x)*y", u_D="sin(x)*y", conditions=conditions))).bound)
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-12)
     assert math.isclose(bounds[0], bounds[2], rel_tol=1e-6)
 
@@ -171,12 +163,3 @@ def test_kept_forms_have_their_coefficients(folder: Path):
     one.x.array[:], two.x.array[:] = 1.0, 2.0
     first, second = spaces.kept(_mass, one), spaces.kept(_twice, two)
     assert [spaces.integrate(first), spaces.integrate(second)] == pytest.approx([1.0, 4.0])
-
-
-def test_new_texts_compile_nothing_for_a_convergence_study(folder: Path):
-    case = make_case(folder, parts=["bottom"], f="0", h=0.4)
-    kept = []
-    for values in (FIRST, SECOND):
-        convergence_study(case.with_values(values), Vary.H, [1, 2], 3)
-        kept.append(set(LOADED))
-    assert kept[0] == kept[1]

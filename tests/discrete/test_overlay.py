@@ -119,8 +119,7 @@ def octant(n: int, radius: float, out: int) -> Surface:
     return Surface(x, normals * np.sign((normals * x[:, 0]).sum(axis=1) * out)[:, None])
 
 
-@pytest.mark.parametrize(("slaves", "masters"), [(4, 4), (5, 7), (8, 5), (8, 11)])
-@pytest.mark.parametrize("out", [1, -1])
+@pytest.mark.parametrize(("slaves", "masters", "out"), [(4, 4, 1), (5, 7, -1), (8, 5, 1), (8, 11, -1)])
 def test_facets_of_one_sphere(slaves: int, masters: int, out: int) -> None:
     """Polyhedra of one octant along the normals of the slave: covered, with corners and sides that are stretched."""
     slave, master = octant(slaves, 1.0, out), octant(masters, 1.0 + 0.02 * out, -out)
