@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -35,11 +36,12 @@ from fuzzing.judge import (
 )
 
 KINDS = {
-    **{"case": "texts.case_file", "option": "texts.option", "mesh": "files.mesh_file", "geo": "files.geometry"},
-    **{"checkpoint": "files.checkpoint", "study": "texts.study", "forged": "files.forged", "killed": "texts.killed"},
-    **{"config": "texts.configuration", "expression": "texts.expression", "pulse": "texts.pulses"},
+    **{"case": ("texts", "case_file"), "option": ("texts", "option"), "mesh": ("files", "mesh_file")},
+    **{"geo": ("files", "geometry"), "checkpoint": ("files", "checkpoint"), "study": ("texts", "study")},
+    **{"forged": ("files", "forged"), "killed": ("texts", "killed"), "config": ("texts", "configuration")},
+    **{"expression": ("texts", "expression"), "pulse": ("texts", "pulses")},
 }
-"""The functions of `fuzzing` that make inputs, by kind."""
+"""For each kind of input the module of `fuzzing` with the function that makes it."""
 
 
 def main() -> None:
@@ -77,9 +79,8 @@ class Fuzz:
     """Makes, runs and judges inputs, and counts the verdicts."""
 
     def __init__(self, pencil: Path, seed: int, runner: Runner):
-        places = {kind: name.split(".") for kind, name in KINDS.items()}
         self._generators = {
-            kind: getattr(import_module(f"fuzzing.{module}"), name) for kind, (module, name) in places.items()
+            kind: getattr(import_module(f"fuzzing.{module}"), name) for kind, (module, name) in KINDS.items()
         }
         self._pencil, self._seed, self.runner = pencil, seed, runner
         self._valid = import_module("fuzzing.files").make_valid(pencil, runner)
@@ -108,13 +109,11 @@ class Fuzz:
             if not keep:
                 shutil.rmtree(root)
 
-        def again(_: Ending) -> None:
-            self.runner.start(broken.words, root, done, homeless=broken.homeless)
-
+        start = partial(self.runner.start, broken.words, root, homeless=broken.homeless)
         if broken.killed is None:
-            again(Ending(0, "", late=False, orphans=False, memory=0))
+            start(done)
         else:
-            self.runner.start(broken.words, root, again, seconds=broken.killed)
+            start(lambda _: start(done), seconds=broken.killed)
 
     def _show(self, name: str, about: str, words: list[str], verdict: Verdict) -> None:
         command = shlex.join(["signorini", *words])[:200]

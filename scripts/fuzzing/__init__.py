@@ -67,10 +67,12 @@ class Valid:
     Attributes:
         shape: Results folder of a named shape.
         file: Results folder of a mesh file with names for its parts; the file and the case are beside it.
+        seconds: How long both took together.
     """
 
     shape: Path
     file: Path
+    seconds: float
 
 
 type Damage = Callable[[random.Random, bytes], bytes]
