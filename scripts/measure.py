@@ -29,12 +29,11 @@ import typer
 MODULES = {
     **dict.fromkeys(["benchmark", "ours"], "benchmark"),
     **dict.fromkeys(["scaling", "gradients"], "runs"),
-    **dict.fromkeys(["adaptive", "quantities", "orders"], "bounds"),
-    **dict.fromkeys(["elastic", "friction"], "elastic"),
-    "soil-columns": "soils",
+    **dict.fromkeys(["methods", "adaptive", "quantities", "orders"], "methods"),
+    **dict.fromkeys(["elastic", "friction", "pairs"], "elastic"),
     **dict.fromkeys(["korn", "proved-korn"], "korn"),
-    **dict.fromkeys(["mindlin", "plate", "penalty"], "published"),
-    **{name: name for name in ("conforming", "methods", "pairs", "soils")},
+    **dict.fromkeys(["mindlin", "plate", "penalty", "soils", "soil-columns"], "published"),
+    "conforming": "conforming",
 }
 """Where each is, in `measuring`."""
 

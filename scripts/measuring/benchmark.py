@@ -15,18 +15,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
+from measuring import say, show
 from measuring.problem import PROBLEMS, Problem
-from signorini_fenicsx.base.text import write_table
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.meshes.grids import Share
@@ -48,15 +46,12 @@ QUICK = 3
 AGAIN = 3
 """Most solves of a mesh in one process, the fastest of which counts."""
 
-console = Console(highlight=False, width=None if sys.stdout.isatty() else 180)
-
 
 @dataclass(frozen=True)
 class Run:
     """One solve.
 
     Attributes:
-        problem: Name of the problem.
         program: The element of ours, or the other program.
         round: Number of the round.
         h: The size.
@@ -69,7 +64,6 @@ class Run:
         energy: ½a(u, u) − b(u); of the others alone.
     """
 
-    problem: str
     program: str
     round: int
     h: str
@@ -87,23 +81,18 @@ def benchmark(
     element: Annotated[list[str], typer.Option(help="RT0 or RT1; may be given twice.")] = ["RT0", "RT1"],  # noqa: B006
     rounds: Annotated[int, typer.Option(min=1, help="How often all is run.")] = 3,
     quick: Annotated[bool, typer.Option(help="Without the larger sizes.")] = False,
-    output: Annotated[Path, typer.Option(help="Folder of the table.")] = Path("results/benchmark"),
 ) -> None:
-    """Run all programs on all problems and print their seconds."""
-    output.mkdir(parents=True, exist_ok=True)
-    runs: list[Run] = []
+    """Run all programs on all problems and print our seconds over those of the others; ~ is an extrapolation."""
     for name in problems or PROBLEMS:
+        runs: list[Run] = []
         with tempfile.TemporaryDirectory() as folder:
             for number in range(rounds):
                 for program in (*element, *OTHERS):
                     first, last = CHOSEN[program][PROBLEMS[name].dim - 2]
                     last = max(last - QUICK, first + 2) if quick else last  # a power law needs two
-                    sizes = SIZES[PROBLEMS[name].dim][first:last]
-                    with console.status(f"{name}, round {number + 1}: {program}"):
-                        runs += launch(name, program, number, sizes, Path(folder))
-                    write_table(output / "benchmark.csv", Run, runs)
-        console.print(table(name, element, [run for run in runs if run.problem == name]))
-    console.print(f"results    {output}")
+                    runs += launch(name, program, number, SIZES[PROBLEMS[name].dim][first:last], Path(folder))
+        say(name)
+        show(["element", "unknowns", "equal", "", "seconds", *OTHERS, "fastest P2"], rows(element, runs))
 
 
 def launch(name: str, program: str, number: int, sizes: Sequence[str], folder: Path) -> list[Run]:
@@ -112,7 +101,7 @@ def launch(name: str, program: str, number: int, sizes: Sequence[str], folder: P
         lines = by_other(program, name, [mesh_of(PROBLEMS[name], h, folder) for h in sizes])
     else:
         lines = apart("ours", program, name, str(AGAIN), *sizes)
-    return [Run(name, program, number, h, **line) for h, line in zip(sizes, lines, strict=True)]
+    return [Run(program, number, h, **line) for h, line in zip(sizes, lines, strict=True)]
 
 
 def by_other(program: str, name: str, meshes: Sequence[Path]) -> list[dict[str, Any]]:
@@ -157,35 +146,28 @@ def seconds_at(runs: Sequence[Run], error: float) -> tuple[float, bool]:
     return float(np.exp(seconds[i] + slope * (wanted - errors[i]))), outside
 
 
-def table(name: str, elements: Sequence[str], runs: Sequence[Run]) -> Table:
+def rows(elements: Sequence[str], runs: Sequence[Run]) -> Iterator[list[object]]:
     """Two lines for each mesh of ours: at equal error, and at equal certified error with the bound."""
-    result = Table(title=f"{name}: seconds of ours / those of the other; ~ extrapolated", title_justify="left")
-    for column in ("element", "unknowns", "equal", "", "seconds", *OTHERS, "fastest P2"):
-        result.add_column(column, justify="left" if column in ("element", "equal") else "right")
     for element in elements:
         of_element = [run for run in runs if run.program == element]
         for h in dict.fromkeys(run.h for run in of_element):
             ours = [run for run in of_element if run.h == h]
-            for certified in (False, True):
-                errors = [run.bound if certified else run.error for run in ours]
-                seconds = [run.seconds + certified * run.seconds_of_bound for run in ours]
-                of_others = quotients(runs, ours, errors, seconds)
-                about = ("", "", "certified") if certified else (element, f"{ours[0].unknowns}", "error")
-                shown = between([(each, False) for each in seconds]), *map(between, zip(*of_others, strict=True))
-                result.add_row(*about, f"{errors[0]:.2e}", *shown)
-    return result
+            for what in ("error", "bound"):
+                errors = [getattr(run, what) for run in ours]
+                seconds = [run.seconds + (what == "bound") * run.seconds_of_bound for run in ours]
+                columns = zip(*quotients(runs, ours, errors, seconds), strict=True)
+                shown = between([(each, False) for each in seconds]), *map(between, columns)
+                yield [element, ours[0].unknowns, what, errors[0], *shown]
 
 
 def quotients(
     runs: Sequence[Run], ours: Sequence[Run], errors: Sequence[float], seconds: Sequence[float]
-) -> list[list[tuple[float, bool]]]:
+) -> Iterator[list[tuple[float, bool]]]:
     """For each round our seconds as multiples of those of the other programs at an error, then of the faster P2."""
-    rows = []
     for run, error, mine in zip(ours, errors, seconds, strict=True):
         at = {other: seconds_at(of(runs, other, run.round), error) for other in OTHERS}
         faster = min(at[other] for other, (_, degree) in OTHERS.items() if degree == 2)
-        rows.append([(mine / theirs, guessed) for theirs, guessed in (*at.values(), faster)])
-    return rows
+        yield [(mine / theirs, guessed) for theirs, guessed in (*at.values(), faster)]
 
 
 def of(runs: Sequence[Run], program: str, number: int) -> list[Run]:
