@@ -214,29 +214,26 @@ def option(rng: random.Random, folder: Path, valid: Valid) -> Broken:
         return _hostile_output(rng, folder)
     words, files = rng.choice(CORPUS) if rng.random() < 0.85 else (list(rng.choice(OTHERS)), {})
     words, about = _put(folder, valid, words, files), []
-    for _ in range(rng.choice([1, 1, 2, 3])):
+    for _ in range(rng.choice([0, 1, 1, 2])):
         after = [at for at, word in enumerate(words, start=1) if at > 1 and word.startswith("--")]
-        at, value = (
-            rng.choice(after or [len(words)]),
-            rng.choice([rng.choice(NUMBERS), rng.choice(WORDS), *(rng.choice(PAIRS)[1].strip('"') for _ in range(2))]),
-        )
-        match rng.choice([*["value", "option", "set"] * 4, "gone", "twice", "more"]):
-            case "value":
+        at, key, value = rng.choice(after or [len(words)]), rng.choice(KEYS), rng.choice([*NUMBERS, *WORDS])
+        match rng.choice([*["value", "option", "set", "set"] * 4, "gone", "twice", "more"]):
+            case "value" if after:
                 words[at : at + 1] = [value]
             case "option" if OPTIONS[words[0]]:
                 name, takes_value = rng.choice(OPTIONS[words[0]])
-                words += [name, *[value] * (takes_value and rng.random() < 0.9)]
-            case "set":
-                words += ["--set", f"{rng.choice(KEYS)}={value}"]
+                words += [name, *[value] * takes_value]
             case "gone":
                 words = words[:at] + words[at + 1 :]
             case "twice":
                 words.insert(at, rng.choice(words))
-            case _:
+            case "more":
                 words.insert(at, rng.choice([value, f"--{value}", "-x", "--h=", "--json"]))
+            case _:
+                words += ["--set", f"{key}={_a_value(rng, key.split('.')[-1]).strip(chr(34))}"]
         about.append(value[:30])
     words = [word for word in words if word not in ("--", "--help", "--output")]
-    if words[0] == "solve" and rng.random() < 0.4:
+    if words[0] == "solve" and (not about or rng.random() < 0.2):
         words.append("--")
         for name in rng.choices(PETSC, k=rng.choice([1, 1, 2, 3])):
             words += [f"-{name}", *[rng.choice(FOR_PETSC)] * (rng.random() < 0.9)]
