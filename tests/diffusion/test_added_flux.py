@@ -119,12 +119,12 @@ def test_backends_regions_quantities_and_files(tmp_path: Path):
     conditions = [Signorini("bottom", psi=-0.05), Neumann(["left", "right"], 0)]
     problem = Diffusion(f=1, kappa="1 + x*y", b=B, conditions=conditions)
     fine = solve(build_domain(COMM, "square", 0.08, mesh="structured"), problem, RT1)
-    values = fine.flux_through("bottom"), fine.spaces.integrate(fine.u * ufl.dx), fine.quantity(Energy()).middle
+    values = fine.flux_through("bottom"), fine.spaces.integrate(fine.u * ufl.dx)
     for element in ("RT0", "RT1"):
         solution = solve(square, problem, Options(element=element))
         mixed = solve(square, problem, Options(element=element, backend="mixed"))
         assert solution.norms() == pytest.approx(mixed.norms(), rel=1e-9)
-        for kind, value in zip((Flux("bottom"), Mean(), Energy()), values, strict=True):
+        for kind, value in zip((Flux("bottom"), Mean()), values, strict=True):
             quantity = solution.quantity(kind)
             assert quantity.proved
             assert quantity.lower < value < quantity.upper
@@ -137,8 +137,9 @@ def test_backends_regions_quantities_and_files(tmp_path: Path):
         solve(square, Diffusion(f=1, b=[1, 2, 3]))
 
 
-@pytest.mark.parametrize(("element", "width"), [("RT0", 3e-2), ("RT1", 6e-3)])
-@pytest.mark.parametrize(("b", "f"), [("exp(x)", "2 - exp(x)"), ("x^2", "2 - 2*x")])
+@pytest.mark.parametrize(
+    ("element", "width", "b", "f"), [("RT0", 3e-2, "exp(x)", "2 - exp(x)"), ("RT1", 6e-3, "x^2", "2 - 2*x")]
+)
 def test_energy(element: str, width: float, b: str, f: str):
     """The energy ½(κ∇u, ∇u) + (b, ∇u) − (f, u) of u = x(1 − x) is −1/6 and proved, where ∇·b + f = 2."""
     conditions = [Dirichlet(["left", "right"], 0), Neumann(["bottom", "top"], 0)]
@@ -184,8 +185,7 @@ def water_in_soil(form: str, soil: Soil) -> Diffusion:
     return Diffusion(f=0, kappa=soil, form=form, conditions=conditions)
 
 
-@pytest.mark.parametrize("options", ALL[:2])
-@pytest.mark.parametrize("soil", [Gardner(1e-3, 3.0), VanGenuchten(1e-3, 4.0, 1.6)])
+@pytest.mark.parametrize(("options", "soil"), [(ALL[0], VanGenuchten(1e-3, 4.0, 1.6)), (RT1, Gardner(1e-3, 3.0))])
 def test_pressure_is_head(options: Options, soil: Soil):
     """With the pressure head as u, gravity as b, soils have the flux, saturation and bound that the head gives."""
     square = build_domain(COMM, "square", 0.25, mesh="structured")

@@ -1,32 +1,27 @@
 """The laws on Γ_S: exact solutions, several laws at once, every method against another, what is refused."""
 
-import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import signorini
 from made_cases import EXACT, Spring, many, on_grid
 from makers.scalar import examine_laws
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Law
-from signorini_fenicsx.contact.laws import Corners, Dirichlet, Friction, Regulator, Signorini, TwoSided, Wall
-from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, Present
-from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.contact.laws import Corners, Dirichlet, Friction, Neumann, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.physics.diffusion.problem import Diffusion, Problem
+from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
 
@@ -101,16 +96,6 @@ def test_random_problem(seed: int):
     assert result is None or (result.good and result.difference < 1e-6) or np.isnan(result.difference), result
 
 
-def test_rules_walk_along_a_chain():
-    """Algorithms 1 and 2 differ in ties only; a site moves by one segment, towards what p and σ·n ask for."""
-    friction = Chains.through(np.zeros((6, 2)), np.tile([1.0, -1.0], (6, 1)), np.zeros(6), np.zeros(6))
-    p, flux = np.array([-1.0, 0.0, 0.0, 0.0, 2.0, 0.0]), np.array([1.0, 1.0, 0.5, -1.0, -1.0, -3.0])
-    np.testing.assert_array_equal(ALGORITHM_1.following(friction, p, flux, 1.0), [0, 0, 1, 1, 2, 2])
-    np.testing.assert_array_equal(ALGORITHM_2.following(friction, p, flux, 1.0), [0, 1, 1, 2, 2, 2])
-    first = Present(np.zeros(6, dtype=np.int8), 1e-12, 1e-12)
-    np.testing.assert_array_equal(ALGORITHM_2.following(friction, p, flux, 1.0, first), [0, 0, 1, 1, 1, 1])
-
-
 def test_corners_that_coincide():
     """Twice the same corner, and a two-sided bound without room, which is a Dirichlet condition."""
     domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
@@ -129,22 +114,6 @@ def test_corners_that_coincide():
         assert found.outcome.iterate.p == pytest.approx(0, abs=1e-10)
 
 
-def test_distance_to_a_graph():
-    """Zero on it; beside a segment how far, beyond its end how far from the end, and sloped lines at their angle."""
-    chain = Chains.through(np.array([[0.0, 1.0]]), np.array([[2.0, 1.0]]), np.array([np.inf]), np.array([0.0]))
-    for p, flux, expected in [
-        (0.0, 5.0, (0, 0, 0)),
-        (0.5, 1.5, (0, 0, 0)),
-        (3.0, 1.0, (0, 0, 0)),
-        (0.5, 2.5, (0, 0, 0.5)),
-        (-1.0, 4.0, (-1, 0, 1)),
-        (3.0, 0.0, (0, -1, 1)),
-        (2.0, 3.0, (0, 0, 1.5)),
-    ]:
-        found = [float(part[0]) for part in chain.distances(np.array([p]), np.array([flux]), np.array([1.0]))]
-        assert found == pytest.approx(expected), (p, flux)
-
-
 def test_laws_in_python():
     """Objects as data; a law of one's own is the graph with the same line; a Signorini law is the short form."""
     domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
@@ -154,13 +123,10 @@ def test_laws_in_python():
     np.testing.assert_allclose(spring.sigma.x.array, line.sigma.x.array, atol=1e-12)
     assert spring.spaces.normal_flux(spring.sigma) == pytest.approx(-3 * spring.outcome.iterate.p, abs=1e-12)
     short = solve(domain, Diffusion(f, conditions=[Signorini(["bottom", "left"], "0.01*x", 0.1)]))
-    for boundary, laws in [
-        (Boundary([]), [Signorini(["bottom", "left"], "0.01*x", 0.1)]),
-        (Boundary(["bottom"]), [TwoSided(["left"], psi_upper=1e3, psi="0.01*x", q_S=0.1)]),
-    ]:
-        long = solve(domain, Problem(f, psi="0.01*x", q_S=0.1, laws=laws, boundary=boundary))
-        assert long.norms() == pytest.approx(short.norms(), rel=1e-12)
-        assert [step.changed for step in long.outcome.history] == [step.changed for step in short.outcome.history]
+    laws = [Signorini("bottom", "0.01*x", 0.1), TwoSided("left", psi_upper=1e3, psi="0.01*x", q_S=0.1)]
+    long = solve(domain, Diffusion(f, conditions=laws))
+    assert long.norms() == pytest.approx(short.norms(), rel=1e-12)
+    assert [step.changed for step in long.outcome.history] == [step.changed for step in short.outcome.history]
 
 
 def test_a_given_u_is_no_contact():
@@ -172,19 +138,6 @@ def test_a_given_u_is_no_contact():
     assert 0 < solve(square, alone).contact.facets < 7
     both = solve(square, beside)
     assert both.contact == tuple(both.segments_of_parts()["bottom"]["contact"].values())
-
-
-def test_results_of_python_are_kept(folder: Path):
-    """Laws that are numbers and texts are in the file, others are asked for."""
-    domain, f = build_domain(COMM, "square", 0.4, mesh="unstructured"), "20*(x - 0.6)"
-    laws = Corners(["bottom"], ((0, 1), (0, -1))), Friction(["left"], "0.1 + y")
-    problem = Diffusion(f, conditions=[Signorini("top"), *laws])
-    write_solution(solve(domain, problem), folder, fields=False)
-    assert load_solution(folder, COMM).problem == problem.on(domain)
-    other = replace(problem, conditions=[Friction(["left"], g=lambda x: 0.1 + x[1])])
-    write_solution(solve(domain, other), folder, fields=False)
-    with pytest.raises(InputError, match="laws: given in Python"):
-        load_solution(folder, COMM)
 
 
 @pytest.mark.parametrize(
@@ -240,9 +193,9 @@ def test_laws_that_hold_a_body_alone(laws: list[Law], f: float, level: float, ex
     """Without Γ_D and c the law fixes the constant where the load needs no larger flux than it allows."""
     domain = build_domain(COMM, "square", 0.25, mesh="structured")
     rest = [part for part in ("bottom", "left", "right", "top") if all(part not in law.parts for law in laws)]
-    boundary = Boundary([], rest)
+    conditions = [*laws, Neumann(rest)]
     for options in (Options(), Options("alg2", backend="mixed"), Options(tuning=Tuning(direct_up_to=0))):
-        solution = solve(domain, Problem(f=f, laws=laws, boundary=boundary), options)
+        solution = solve(domain, Diffusion(f=f, conditions=conditions), options)
         assert certify(solution).bound < 0.5
         p, spaces = solution.p.x.array, solution.spaces
         bottom = np.flatnonzero(spaces.part_of_facet == spaces.part_names.index("bottom"))
@@ -250,7 +203,7 @@ def test_laws_that_hold_a_body_alone(laws: list[Law], f: float, level: float, ex
             assert p[bottom] == pytest.approx(level, abs=1e-9)
     if not math.isnan(excess):
         with pytest.raises(InputError, match="there is no solution"):
-            solve(domain, Problem(f=excess, laws=laws, boundary=boundary))
+            solve(domain, Diffusion(f=excess, conditions=conditions))
 
 
 def test_what_methods_refuse(folder: Path):
@@ -286,42 +239,6 @@ def test_names_of_segments():
     for wrong in (["low", "high"], ["low", "low", "high"], "low"):
         with pytest.raises(InputError, match="names: must be 3 different names, one for each segment of the graph"):
             Corners(["bottom"], [(0, 1), (0, -1)], names=wrong)
-
-
-def test_command_line(folder: Path):
-    """`--set` reaches a law, refusals have status 2, a run that does not settle status 1."""
-    base = ["solve", "friction", "--h", "1/4", "--quiet", "--output", "out"]
-    assert signorini(folder, *base, "--set", "law.0.g=0.2").returncode == 0
-    assert ",0.2,no_flux,slip+" in (folder / "out" / "facets.csv").read_text(encoding="utf-8")
-    refused = signorini(folder, *base, "--set", "law.0.g=-1")
-    assert refused.returncode == 2
-    assert "g must not be negative" in refused.stderr
-    failed = signorini(folder, *base, "--set", "solve.max_iterations=1")
-    assert failed.returncode == 1
-
-
-def test_safeguard_ends_cycles():
-    """κ and laws drawn at random on few facets: from any sets whatever, each run ends in the only solution."""
-    rng = np.random.default_rng(5)
-    domain = build_domain(COMM, "square", 0.5, mesh="unstructured")
-    for _ in range(6):
-        corners = [
-            (float(u), float(-u + s)) for u, s in zip(np.cumsum(rng.random(3)) - 1, [0.5, 0.5, 0.2], strict=True)
-        ]
-        problem = Diffusion(
-            "20*sin(9*x)", conditions=[Corners(["bottom", "right"], corners, 2, "vertical"), Friction(["left"], 0.2)]
-        )
-        results = [
-            solve(domain, problem, Options(algorithm=name, backend=backend)).norms()
-            for name, backend in itertools.product(("alg1", "alg2"), ("hybrid", "mixed"))
-        ]
-        for result in results[1:]:
-            assert result == pytest.approx(results[0], rel=1e-9)
-
-
-def test_failure_is_told():
-    with pytest.raises(NumericalFailure, match="facets still change after 1 iteration"):
-        on_grid("staircase", 12, solve__max_iterations=1)
 
 
 @pytest.mark.parallel([1, 2])

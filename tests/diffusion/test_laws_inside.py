@@ -25,7 +25,6 @@ from signorini_fenicsx import (
     Storage,
     TwoSided,
     evolve,
-    load_solution,
     solve,
 )
 from signorini_fenicsx.base.tolerances import KKT
@@ -35,7 +34,6 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Given, Graph, Law
-from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
@@ -51,7 +49,7 @@ def square(h: float, comm: MPI.Comm = COMM) -> Domain:
     return build_domain(comm, "square", h, mesh="structured")
 
 
-def on_square(h: float = 0.1, options: Options | None = None, **data: object) -> Solution:
+def on_square(h: float = 0.2, options: Options | None = None, **data: object) -> Solution:
     solution: Solution = solve(square(h), Diffusion(**data), options)  # type: ignore[arg-type]
     return solution
 
@@ -67,7 +65,7 @@ def chain(rng: np.random.Generator, corners: int) -> Chains:
 def test_chains_add():
     """A sum is on the graph where p is what both allow, and the flux is a sum of theirs."""
     rng = np.random.default_rng(0)
-    for _ in range(300):
+    for _ in range(100):
         one, other = chain(rng, rng.integers(1, 4)), chain(rng, rng.integers(1, 4))
         ends = zip(one.extent()[:2], other.extent()[:2], (np.maximum, np.minimum), strict=True)
         low, high = (pick(a, b) for a, b, pick in ends)
@@ -126,10 +124,9 @@ def test_exact_solutions(name: str):
     assert ratios[1] < ratios[0] < EXACT[name]
 
 
-@pytest.mark.parametrize("name", ["phases", "dead_core"])
-def test_quadrature_of_kinks(name: str, monkeypatch: pytest.MonkeyPatch):
+def test_quadrature_of_kinks(monkeypatch: pytest.MonkeyPatch):
     """Where v passes a corner of a graph the quadrature is not exact: a finer one changes the bound very little."""
-    solution = solve_case(load_case(name).with_values({"solve.h": 1 / 16}))
+    solution = solve_case(load_case("phases").with_values({"solve.h": 1 / 8}))
     bound = certify(solution).bound
     monkeypatch.setattr(inside, "SQUARE", 29)
     assert certify(solution).bound == pytest.approx(bound, rel=1e-3)
@@ -154,7 +151,7 @@ def test_short_forms():
     assert line.certify().bound == pytest.approx(on_square(f=8, c=3).certify().bound, rel=0.01)
 
 
-@pytest.mark.parametrize("seed", [3, 7, 12, 22, 30])
+@pytest.mark.parametrize("seed", [3, 7, 22])
 def test_random_laws(seed: int):
     """Random laws in Ω and on Γ_S, some of them in one half, against a quadratic programme."""
     result = examine_laws(seed, inside=True)
@@ -172,14 +169,8 @@ LAWS: list[list[Law]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("number", "element", "most"),
-    [
-        *((number, "RT0", 1.5) for number in range(len(LAWS))),
-        *(pytest.param(number, "RT1", 4.0, marks=pytest.mark.slow if number > 0 else ()) for number in (0, 1, 2, 3)),
-    ],
-)
-def test_bounds_against_finer_meshes(number: int, element: str, most: float):
+@pytest.mark.parametrize("number", range(len(LAWS)))
+def test_bounds_against_finer_meshes(number: int):
     """Data that vary, in parts of Ω, and laws on Γ_S beside: the bound is above the distance to a finer solution."""
     coarse = halved(square(0.12))
     fine = coarse
@@ -187,9 +178,9 @@ def test_bounds_against_finer_meshes(number: int, element: str, most: float):
         fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
     u_D = 0 if number == 3 else "0.1*sin(8*x*y)*x*y"
     problem = Diffusion(f="30*sin(3*x + 4*y)", kappa="2 + sin(3*x)*cos(2*y)", u_D=u_D, conditions=LAWS[number])
-    one, other = (solve(domain, problem, Options(element=element)) for domain in (coarse, fine))
-    certificate, distance = certify(one), difference(one, other)
-    assert distance < certificate.sigma_bound < most * distance
+    one, other = (solve(domain, problem) for domain in (coarse, fine))
+    distance = difference(one, other)
+    assert distance < certify(one).sigma_bound < 1.5 * distance
 
 
 def test_in_space():
@@ -207,8 +198,7 @@ def test_in_space():
     assert difference(linear, other) - certify(other).sigma_bound < certify(linear).sigma_bound < distance
 
 
-@pytest.mark.parametrize("backend", ["hybrid", "mixed"])
-@pytest.mark.parametrize("algorithm", ["alg1", "alg2"])
+@pytest.mark.parametrize(("algorithm", "backend"), [("alg1", "hybrid"), ("alg2", "mixed")])
 def test_no_dirichlet(algorithm: str, backend: str):
     """Laws in Ω alone hold u where the load is in the range of s, also with laws on Γ_S; otherwise it is refused."""
     everywhere = Neumann(["left", "right", "bottom", "top"], "0.5*x")
@@ -246,18 +236,6 @@ def test_own_law():
     np.testing.assert_allclose(own.u.x.array, known.u.x.array, atol=1e-14)
     assert own.certify().bound == pytest.approx(known.certify().bound, rel=1e-12)
     assert set(own.summary()["regions"]["law.0"]) == {"none", "slow", "fast"}
-
-
-def test_files(folder: Path):
-    """A solution is read as it was written, with its laws; tables and fields have the states of cells."""
-    laws = [Corners([[0, -3], [0, 3], [0.2, 5]], region="all"), Obstacle(region="all", psi="-0.05")]
-    solution = on_square(f="30*sin(5*x)", conditions=laws)
-    write_solution(solution, folder / "x")
-    again = load_solution(folder / "x")
-    assert again.summary()["regions"] == solution.summary()["regions"]
-    assert again.certify().bound == pytest.approx(solution.certify().bound, rel=1e-12)
-    assert (folder / "x" / "free_boundary.csv").exists()
-    assert 'Name="segment"' in (folder / "x" / "solution.xdmf").read_text()
 
 
 def test_laws_of_hydrologists():

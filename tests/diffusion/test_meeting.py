@@ -8,11 +8,9 @@ from makers.bounds import difference
 from meeting_parts import Lines, crossed_square, cut_cube
 from mpi4py import MPI
 
+from signorini_fenicsx import adapt_case, certify, load_case, solve_case
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.solving import adapt_case, solve_case
-from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.physics.diffusion.case import Case
 

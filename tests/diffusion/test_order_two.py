@@ -34,7 +34,7 @@ from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.pictures.plane import Plane
 from signorini_fenicsx.pictures.scene import gathered_scene
-from signorini_fenicsx.quantities import Energy, Flux, Mean
+from signorini_fenicsx.quantities import Energy, Mean
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
@@ -229,9 +229,6 @@ def test_quantities():
             quantity.lower < values[name] < quantity.upper and quantity.proved for name, quantity in found.items()
         )
     assert all(lengths["RT1"][name] < lengths["RT0"][name] / 10 for name in kinds), lengths
-    flux = on_grid("regulator", 12, solve__element="RT1").quantity(Flux("bottom"))
-    assert flux.lower < 0.05 < flux.upper
-    assert flux.width < 0.04
 
 
 @pytest.mark.parallel(3)

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import dolfinx
 import numpy as np
 import pytest
 import ufl
@@ -20,7 +19,6 @@ from signorini_fenicsx import (
     Seepage,
     Signorini,
     Wall,
-    domain_of,
     load_case,
     load_solution,
     solve,
@@ -40,10 +38,7 @@ RT1 = Options(element="RT1")
 
 def column(n: int, comm: MPI.Intracomm = COMM) -> Domain:
     """A column of two cells of squares in width, 2 high."""
-    diagonal = dolfinx.mesh.DiagonalType.crossed
-    mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (4 / n, 2)], [2, n], diagonal=diagonal)
-    sides = {"bottom": (1, 0.0), "top": (1, 2.0), "left": (0, 0.0), "right": (0, 4 / n)}
-    return domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()})
+    return build_domain(comm, f"[0, {4 / n}] x [0, 2]", 2.0001 / n, mesh="structured", diagonal="crossed")
 
 
 @pytest.mark.parametrize(("options", "rain"), [(Options(), 0.3), (Options(), -2e-4), (RT1, 0.3)])
@@ -79,8 +74,14 @@ def test_kirchhoff(options: Options):
     assert functions.outcome.details["unsure_cells"] == functions.spaces.mesh.topology.index_map(2).size_global
 
 
-@pytest.mark.parametrize("options", [Options(), RT1])
-@pytest.mark.parametrize("laws", [{"obstacle": -0.1}, {"c": 3}, {"conditions": [Wall("bottom", beta=5, level=-0.05)]}])
+@pytest.mark.parametrize(
+    ("options", "laws"),
+    [
+        (RT1, {"obstacle": -0.1}),
+        (Options(), {"obstacle": -0.1, "c": 3}),
+        (RT1, {"conditions": [Wall("bottom", beta=5, level=-0.05)]}),
+    ],
+)
 def test_other_laws(options: Options, laws: dict):
     """Laws in Ω, terms cu and slopes go with a κ of u, which may be nearly a number."""
     square = build_domain(COMM, "square", 0.25, mesh="structured")
@@ -158,11 +159,7 @@ def test_dry_sand():
         kappa=VanGenuchten(8.25e-5, 14.5, 2.68),
         conditions=[Dirichlet("left", 5.0), Seepage("right", level="y"), Neumann(["top", "bottom"], 0)],
     )
-    mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (9, 9))
-    sides = {"bottom": (1, 0.0), "top": (1, 9.0), "left": (0, 0.0), "right": (0, 9.0)}
-    solution = solve(
-        domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()}), sand
-    )
+    solution = solve(build_domain(COMM, "[0, 9] x [0, 9]", 1.4143, mesh="structured"), sand)
     assert solution.outcome.details["kappa_change"] < 1e-6
     assert len(solution.outcome.history) < 250
 
@@ -296,7 +293,8 @@ def test_guaranteed_by_kirchhoff(options: Options):
     """Where κ = k(x) g(u) bounds and intervals of fluxes are theorems for the problem itself; else for the last κ."""
     square = build_domain(COMM, "square", 0.25, mesh="structured")
     conditions = [Signorini("bottom", psi=0.2), Neumann(["left", "right"], 0)]
-    for kappa, guaranteed in (("(1 + x)*exp(2*u)", True), ("3 + u*u", True), ("1 + x*u^2", False), ("4 - u", False)):
+    some = [("(1 + x)*exp(2*u)", True), ("1 + x*u^2", False), ("3 + u*u", True), ("4 - u", False)]
+    for kappa, guaranteed in some[:2] if options is RT1 else some:
         solution = solve(square, Diffusion(kappa=kappa, f=1, u_D="1 + x", conditions=conditions), options)
         certificate, flux = solution.certify(), solution.quantity(Flux("bottom"))
         assert certificate.guaranteed == guaranteed
@@ -309,7 +307,7 @@ def test_guaranteed_by_kirchhoff(options: Options):
         u_D="exp(2 + 2*x)/2",
         conditions=[Signorini("bottom", psi=float(np.exp(0.4) / 2)), *conditions[1:]],
     )
-    exact = solve(build_domain(COMM, "square", 0.06, mesh="structured"), of_w, RT1).flux_through("bottom")
+    exact = solve(build_domain(COMM, "square", 0.1, mesh="structured"), of_w, RT1).flux_through("bottom")
     solution = solve(square, Diffusion(kappa="(1 + x)*exp(2*u)", f=1, u_D="1 + x", conditions=conditions), options)
     flux = solution.quantity(Flux("bottom"))
     assert flux.lower < exact < flux.upper

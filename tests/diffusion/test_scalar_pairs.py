@@ -76,8 +76,10 @@ def vertical(upper: tuple[int, ...], lower: tuple[int, ...], law: Any, jump: flo
     return solve(two(MPI.COMM_SELF, upper, lower, gap=gap), Diffusion(f=0, conditions=[Neumann(sides), *held, pair]))
 
 
-@pytest.mark.parametrize(("law", "jump"), JUMPS)
-@pytest.mark.parametrize(("upper", "lower"), [((3, 2), (2, 3)), ((2, 2, 2), (3, 2, 2))])
+@pytest.mark.parametrize(
+    ("law", "jump", "upper", "lower"),
+    [*((*each, (3, 2), (2, 3)) for each in JUMPS), *((*each, (2, 2, 2), (3, 2, 2)) for each in JUMPS[:3:2])],
+)
 def test_a_uniform_flux(upper: tuple[int, ...], lower: tuple[int, ...], law: Any, jump: float) -> None:
     """A uniform flux passes from one body to the other, apart or not, under any law; RT1 is the element."""
     gap = 0.25 if isinstance(law, Wall | Tied) else 0.0

@@ -5,7 +5,6 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import dolfinx
 import numpy as np
 import pytest
 from bodies_apart import joined, two
@@ -27,7 +26,6 @@ from signorini_fenicsx import (
     Seepage,
     Tied,
     TwoSided,
-    domain_of,
     evolve,
     evolve_case,
     load_case,
@@ -48,11 +46,9 @@ CELIA = VanGenuchten(0.00922, 0.0335, 2, 0.102, 0.368)
 
 def column(n: int, height: float, comm: MPI.Intracomm = COMM, across: int = 2) -> Domain:
     """A column of squares, one or two in width; each has two triangles, or four."""
-    width, diagonal = across * height / n, dolfinx.mesh.DiagonalType.crossed
-    diagonal = diagonal if across == 2 else dolfinx.mesh.DiagonalType.right
-    mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (width, height)], [across, n], diagonal=diagonal)
-    sides = {"bottom": (1, 0.0), "top": (1, height), "left": (0, 0.0), "right": (0, width)}
-    return domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()})
+    h, diagonal = (1.0001, "crossed") if across == 2 else (1.4143, "right")
+    shape = f"[0, {across * height / n}] x [0, {height}]"
+    return build_domain(comm, shape, h * height / n, mesh="structured", diagonal=diagonal)
 
 
 def by_finite_volumes(
@@ -88,8 +84,8 @@ def test_celias_infiltration():
     """Infiltration into dry soil has the front and the water of a finer solution in one dimension; no mass is lost."""
     conditions = [Neumann(["left", "right"], 0), Dirichlet("top", 100 - 75), Dirichlet("bottom", -1000)]
     problem = Diffusion(kappa=CELIA, f=0, conditions=conditions)
-    steps = list(evolve(column(20, 100), problem, Evolution(end=43200, steps=12, initial="y - 1000")))
-    psi, taken = by_finite_volumes(CELIA, 100, 100, 48, 43200, first=-1000, top=-75, bottom=-1000)
+    steps = list(evolve(column(20, 100), problem, Evolution(end=21600, steps=6, initial="y - 1000")))
+    psi, taken = by_finite_volumes(CELIA, 100, 100, 24, 21600, first=-1000, top=-75, bottom=-1000)
     assert max(step.numbers["mass_error"] for step in steps) < 1e-11
     assert max(step.numbers["content_change"] for step in steps) < 1e-11
     assert {step.numbers["parts"] for step in steps} == {1}
@@ -99,7 +95,7 @@ def test_celias_infiltration():
     z = np.arange(100) + 0.5
     found = steps[-1].solution.at(np.column_stack([np.full(100, 5.1), z]))[0] - z
     assert np.interp(-500, found, z) == pytest.approx(np.interp(-500, psi, z), abs=2)
-    assert found[80:] == pytest.approx(psi[80:], rel=0.02)
+    assert found[90:] == pytest.approx(psi[90:], rel=0.02)
 
 
 CLAY, SAND = VanGenuchten(0.048, 0.8, 1.09, 0.068, 0.38), VanGenuchten(7.128, 14.5, 2.68, 0.045, 0.43)
@@ -131,7 +127,7 @@ MEASURED = [(0.025, 1.121), (0.287, 1.102), (0.491, 1.073), (0.7, 1.038), (0.995
 
 def test_vauclins_water_table():
     """The water table of a slab with recharge is that of the experiment but for some centimetres."""
-    case = load_case("vauclin").with_values({"solve.h": 0.236, "time.steps": 16, "time.end": 4})
+    case = load_case("vauclin").with_values({"solve.h": 0.236, "time.steps": 8, "time.end": 4})
     *_, last = evolve_case(case)
     line = last.solution.readings["phreatic"]
     x, height = np.array(MEASURED).T
@@ -294,7 +290,7 @@ def test_a_step_that_fails_is_done_in_halves(monkeypatch: pytest.MonkeyPatch, le
     assert whole.numbers["mass_error"] < 1e-11
 
 
-SMALL = {"geometry.shape": "[0, 20] x [0, 100]", "solve.h": 20, "time.steps": 4, "time.end": 14400}
+SMALL = {"geometry.shape": "[0, 20] x [0, 100]", "solve.h": 20, "time.steps": 3, "time.end": 10800}
 
 
 @pytest.mark.parametrize("element", ["RT0", "RT1"])
@@ -304,7 +300,7 @@ def test_a_case_ends_and_goes_on(tmp_path: Path, element: str):
     run(case, tmp_path / "whole", plot=element == "RT0")
     run_in_two(case, tmp_path / "two", 2)
     whole, two = (read_rows(tmp_path / name / "steps.csv") for name in ("whole", "two"))
-    assert len(whole) == 4
+    assert len(whole) == 3
     for key in ("content", "inflow", "linear_solves", "parts"):
         assert [float(row[key]) for row in two] == pytest.approx([float(row[key]) for row in whole], rel=1e-12)
     assert all(float(row["bound"]) > 0 and "last κ" in row["bound_is"] for row in whole)

@@ -15,9 +15,10 @@ from mpi4py import MPI
 from signorini_fenicsx import InputError, adapt_case, compare, load_case, load_solution, solve_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
-from signorini_fenicsx.meshes.checks import FileMesh
+from signorini_fenicsx.meshes.checks import FileMesh, checked
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.meshio_files import read_with_meshio
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.case import Case
@@ -89,7 +90,7 @@ def test_formats_agree(tmp_path: Path):
     meshio.write(tmp_path / "d.vtu", meshio.Mesh(mesh.points, mesh.cells, cell_data={"tags": numbers}))
     names = {"bottom": "1", "others": "2", "inside": "3"}
     for file in ("a.xdmf", "b.xdmf", "c.mesh", "d.vtu"):
-        read = read_mesh_file(str(tmp_path / file))
+        read = checked(read_with_meshio(tmp_path / file))
         assert read.parts.keys() | read.regions.keys() == set(names.values())
         for name, number in names.items():
             np.testing.assert_allclose(midpoints(read, number), midpoints(original, name), atol=1e-14)
