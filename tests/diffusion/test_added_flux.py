@@ -201,7 +201,7 @@ def test_pressure_is_head(options: Options, soil: Soil):
 
 @pytest.mark.parallel(2)
 def test_ranks():
-    """Fluxes, bounds, gradients and starts from other meshes do not depend on the number of ranks."""
+    """Fluxes, bounds, a gradient and starts from other meshes do not depend on the number of ranks."""
 
     def numbers(comm: MPI.Comm) -> list[float]:
         square, fine = (build_domain(comm, "square", h, mesh="structured") for h in (0.3, 0.15))
@@ -213,11 +213,7 @@ def test_ranks():
             found += [*solution.norms().values(), solution.certify().bound]
             problem = water_in_soil("pressure", VanGenuchten(K, 4.0, 1.6))
             wet = solve(square, problem, options)
-            found += [
-                wet.norms()["u_L2"],
-                wet.certify().bound,
-                solve(fine, problem, options, start=wet).norms()["u_L2"],
-            ]
+            found += [wet.norms()["u_L2"], solve(fine, problem, options, start=wet).norms()["u_L2"]]
             if element == "RT0":
                 J = wet.u**2 * ufl.dx + ufl.inner(wet.sigma, wet.sigma) * ufl.dx
                 found += wet.gradient(J, [K]).gradients
