@@ -1,5 +1,6 @@
 """Elastic problems with exact solutions, and boxes to solve them in."""
 
+import boxes
 import dolfinx.mesh
 import numpy as np
 import ufl
@@ -74,11 +75,6 @@ def smooth(domain: Domain, nu: float) -> tuple[Expr, Expr, Expr]:
 
 def two_boxes(comm: MPI.Comm, n: int, dim: int) -> Domain:
     """Two boxes on a mesh of DOLFINx, cut along their common side, where the last coordinate is 0 (collective)."""
-    last, low, high = dim - 1, [0.0] * dim, [1.0] * dim
-    low[last], high[last] = -0.5, 0.5
-    make = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
-    walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (last, -0.5), "top": (last, 0.5), "fault": (last, 0.0)}
-    walls |= {"front": (1, 0.0), "back": (1, 1.0)} if dim == 3 else {}
-    parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
-    regions = {"upper": lambda x: x[last] > -1e-9, "lower": lambda x: x[last] < 1e-9}
-    return domain_of(make(comm, [low, high], [n] * dim), parts, regions, inner=["fault"])
+    low, high = [0.0] * dim, [1.0] * dim
+    low[-1], high[-1] = -0.5, 0.5
+    return boxes.box(low, high, [n] * dim, comm, cut=0.0)

@@ -11,10 +11,13 @@ from capabilities import CASES
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.base.owned import number_of_cells
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.law import Graph, Law, Values
 from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -135,3 +138,10 @@ def rotated(ratio: float, degrees: float) -> list[list[str]]:
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     matrix = np.outer([c, s], [c, s]) + np.outer([-s, c], [-s, c]) / ratio
     return [[repr(float(entry)) for entry in row] for row in matrix]
+
+
+def refined(domain: Domain, times: int) -> Domain:
+    """The domain with all cells refined so often (collective)."""
+    for _ in range(times):
+        domain = refine(domain, np.arange(number_of_cells(domain.mesh), dtype=np.int32))
+    return domain

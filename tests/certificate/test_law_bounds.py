@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import signorini
-from made_cases import EXACT, on_grid
+from made_cases import EXACT, on_grid, refined
 from makers.bounds import difference
 from mpi4py import MPI
 
@@ -21,7 +21,6 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, River, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.physics.diffusion.bound import relaxation
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import Options
@@ -30,13 +29,10 @@ from signorini_fenicsx.solving.solver import solve
 COMM = MPI.COMM_WORLD
 
 
-def coarse_and_fine(h: float, shape: str = "square", refinements: int = 2) -> list[Domain]:
+def coarse_and_fine(h: float, shape: str = "square", times: int = 2) -> list[Domain]:
     """A structured mesh, and the one that so many refinements make of it."""
     coarse = build_domain(COMM, shape, h, mesh="structured")
-    fine, dim = coarse, coarse.mesh.topology.dim
-    for _ in range(refinements):
-        fine = refine(fine, np.arange(fine.mesh.topology.index_map(dim).size_local, dtype=np.int32))
-    return [coarse, fine]
+    return [coarse, refined(coarse, times)]
 
 
 @pytest.mark.parametrize("name", EXACT)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bodies_apart import two
 from dolfinx import fem
+from made_cases import refined
 from mpi4py import MPI
 
 from signorini_fenicsx.api import (
@@ -16,26 +16,21 @@ from signorini_fenicsx.api import (
     InputError,
     Neumann,
     Pair,
-    Pressure,
     Solution,
     Tied,
     Tresca,
-    Wall,
     compare,
     domain_of_bodies,
     load_solution,
     solve,
 )
-from signorini_fenicsx.base.owned import number_of_cells
 from signorini_fenicsx.certificate.certify import bound_field
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral
 
 COMM = MPI.COMM_SELF
-PLANE, SPACE = ((3, 2), (2, 3)), ((1, 1, 1), (2, 1, 1))
 
 
 def boxes(
@@ -59,31 +54,6 @@ def pressed(domain: Domain, pair: Pair, young: float = 2.0) -> Solution:
     return solve(domain, Elasticity({"up": 1.0, "low": young}, 0.3, conditions=[*held, Neumann(free), pair]))
 
 
-def finer(domain: Domain, times: int) -> Domain:
-    """All cells are refined."""
-    for _ in range(times):
-        domain = refine(domain, np.arange(number_of_cells(domain.mesh), dtype=np.int32))
-    return domain
-
-
-@pytest.mark.parametrize(
-    ("numbers", "law"),
-    [(PLANE, None), (PLANE, Wall((), beta=5.0)), (PLANE, Tied()), (SPACE, Tresca(0.2)), (SPACE, Tied())],
-)
-def test_a_uniform_stress(numbers: tuple[tuple[int, ...], ...], law: Tresca | Wall | Tied | None) -> None:
-    """Where the stress is exact the bound says so, in the plane and in space."""
-    dim = len(numbers[0])
-    last = dim - 1
-    domain = two(COMM, *numbers, gap=0.25 if law is None else 0.0)
-    sides = [Dirichlet([f"u{k}0", f"l{k}0"], 0, components="xyz"[k]) for k in range(last)]
-    sides += [Neumann([f"u{k}1", f"l{k}1"]) for k in range(last)]
-    sides += [Dirichlet(f"l{last}0", 0, components="xyz"[last]), Pressure(f"u{last}1", 1.0)]
-    body = Elasticity(1.0, 0.3, conditions=[*sides, Pair(f"u{last}0", f"l{last}1", law)])
-    certificate = solve(domain, body).certify()
-    assert certificate.guaranteed
-    assert certificate.relative < 1e-6
-
-
 @pytest.mark.parametrize(
     ("upper", "lower", "left", "law", "most"),
     [
@@ -96,7 +66,7 @@ def test_finer_solutions(upper: float, lower: float, left: float, law: Tresca | 
     """The bound is above the distance to a finer solution, also where an edge is inside a master facet; not far."""
     pair = Pair("up.bottom", "low.top", law)
     domain = boxes(upper, lower, left)
-    coarse, fine = (pressed(each, pair) for each in (domain, finer(domain, 2 if left else 1)))
+    coarse, fine = (pressed(each, pair) for each in (domain, refined(domain, 2 if left else 1)))
     certificate = coarse.certify()
     assert certificate.guaranteed
     distance = compare(coarse, fine).norms.energy
@@ -117,7 +87,7 @@ def test_exchange_of_slave_and_master() -> None:
     one, other = (pressed(domain, Pair(*names)) for names in sides)
     assert compare_stresses(one, other) < one.certify().sigma_bound + other.certify().sigma_bound
     kinds = (Energy(), Force("up.bottom", (0, 1)), Integral(parts="low.top", direction=(0, 1)))
-    fine = pressed(finer(domain, 1), Pair(*sides[0]))
+    fine = pressed(refined(domain, 1), Pair(*sides[0]))
     for kind in kinds:
         known = fine.quantity(kind)
         for solution in (one, other) if isinstance(kind, Energy) else (one,):
@@ -152,7 +122,7 @@ def test_what_there_is() -> None:
 def test_quantities_where_tied() -> None:
     """Energy and integrals of the displacement, also over masters, are in intervals that meet those on finer meshes."""
     domain = boxes(0.6, 0.4, 0.17)
-    coarse, fine = (pressed(each, Pair("up.bottom", "low.top", Tied())) for each in (domain, finer(domain, 1)))
+    coarse, fine = (pressed(each, Pair("up.bottom", "low.top", Tied())) for each in (domain, refined(domain, 1)))
     for kind in (Energy(), Integral(parts="low.top", direction=(0, 1))):
         found, known = coarse.quantity(kind), fine.quantity(kind)
         assert found.guaranteed
@@ -182,7 +152,7 @@ def test_several_ranks(folder: Path) -> None:
     pair, parts, world = Pair("up.bottom", "low.top", Tresca(0.02)), ("up.bottom", "low.top"), MPI.COMM_WORLD
 
     def solved(left: float, comm: MPI.Intracomm, pairs: Sequence[Sequence[str]] = (parts,), times: int = 0) -> Solution:
-        return pressed(finer(boxes(0.4, 0.27, left=left, comm=comm, pairs=pairs), times), pair)
+        return pressed(refined(boxes(0.4, 0.27, left=left, comm=comm, pairs=pairs), times), pair)
 
     cases = ((0.17, 0), (0.0, 0), (0.17, 1))
     bounds = [solved(left, COMM, times=times).certify().bound for left, times in cases] if world.rank == 0 else []
@@ -195,11 +165,11 @@ def test_several_ranks(folder: Path) -> None:
         assert certificate.guaranteed
         assert certificate.bound == pytest.approx(bound, rel=1e-10)
     for domain in (solution.spaces.domain, read.spaces.domain):
-        refined = finer(domain, 1)
-        assert refined.together == (parts,)
-        sides = np.array([len(refined.facets[part]) for part in parts])
+        halved = refined(domain, 1)
+        assert halved.together == (parts,)
+        sides = np.array([len(halved.facets[part]) for part in parts])
         assert any((world.allreduce(sides) == each).all() for each in world.allgather(sides))
-    assert pressed(refined, pair).certify().bound == pytest.approx(of_finer, rel=1e-10)
+    assert pressed(halved, pair).certify().bound == pytest.approx(of_finer, rel=1e-10)
     with pytest.raises(InputError, match=r"pairs: unknown part 'low.up'; there are up.left, "):
         boxes(0.5, 0.5, comm=world, pairs=[["up.bottom", "low.up"]])
     assert "give these parts as `pairs` where the domain is made" in solved(0.0, world, ()).certify().if_none

@@ -4,12 +4,13 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import dolfinx.mesh
 import numpy as np
 import pytest
 import ufl
 from bodies_apart import joined, two
+from boxes import box
 from dolfinx import fem
+from made_cases import refined
 from makers.bounds import difference
 from mpi4py import MPI
 
@@ -27,12 +28,10 @@ from signorini_fenicsx.api import (
     TwoSided,
     Wall,
     certify,
-    domain_of,
     domain_of_bodies,
     solve,
 )
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.quantities.kinds import Flux, Mean
 
 SIDES = "up.bottom", "low.top"
@@ -52,39 +51,18 @@ def boxes(
     upper: int, lower: int, dim: int = 2, left: float = 0.0, height: float = 0.0, comm: MPI.Intracomm = MPI.COMM_SELF
 ) -> Domain:
     """Two boxes with so many cells along an edge of each, the upper one from `left` on and so high above the other."""
-
-    def box(low: list[float], high: list[float], number: int) -> Domain:
-        make = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
-        mesh = make(comm, [np.array(low), np.array(high)], [number] * dim)
-        ends = {"bottom": (dim - 1, low[-1]), "top": (dim - 1, high[-1]), "before": (0, low[0]), "after": (0, high[0])}
-        ends |= {"front": (1, low[1]), "back": (1, high[1])} if dim == 3 else {}
-        return domain_of(mesh, {name: partial(on_plane, *place) for name, place in ends.items()})
-
-    aside = [0.0] * (dim - 2)
-    up = box([left, *aside, height], [1.0] * (dim - 1) + [height + 1.0], upper)
-    low = box([0.0, *aside, -1.0], [1.0] * (dim - 1) + [0.0], lower)
+    aside, ends = [0.0] * (dim - 2), [1.0] * (dim - 1)
+    up = box([left, *aside, height], [*ends, height + 1.0], [upper] * dim, comm)
+    low = box([0.0, *aside, -1.0], [*ends, 0.0], [lower] * dim, comm)
     return domain_of_bodies({"up": up, "low": low}, pairs=[SIDES])
-
-
-def on_plane(axis: int, place: float, x: np.ndarray) -> np.ndarray:
-    """Whether points are on a plane."""
-    return np.asarray(np.isclose(x[axis], place))
 
 
 def posed(law: Any, dim: int = 2, **more: Any) -> Diffusion:
     """A problem of two boxes on one another."""
-    names = ["before", "after"] + ["front", "back"] * (dim == 3)
+    names = ["left", "right"] + ["front", "back"] * (dim == 3)
     sides = [f"{body}.{name}" for body in ("up", "low") for name in names]
     held = [Dirichlet("up.top", "1 - 2*x + x**2"), Dirichlet("low.bottom", 0)]
     return Diffusion(f="1 - x", conditions=[*held, Neumann(sides), Pair(*SIDES, law)], **more)
-
-
-def refined(domain: Domain, times: int) -> Domain:
-    """The domain with all cells refined so often."""
-    for _ in range(times):
-        cells = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
-        domain = refine(domain, np.arange(cells, dtype=np.int32))
-    return domain
 
 
 @pytest.mark.parametrize(

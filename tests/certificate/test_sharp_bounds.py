@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import ufl
-from made_cases import on_square, rotated
+from made_cases import on_square, refined, rotated
 from makers.bounds import difference, examine
 from mpi4py import MPI
 
@@ -18,7 +18,6 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve
@@ -71,10 +70,8 @@ LEGENDRE = "12870*x^8 - 51480*x^7 + 84084*x^6 - 72072*x^5 + 34650*x^4 - 9240*x^3
 def test_data_that_the_mesh_hardly_resolves(given: dict[str, object], sharp: float):
     """The bound is near the error for loads of a high degree, c that jumps in cells, κ that is far from quadratic."""
     coarse = build_domain(COMM, "square", 0.25, mesh="structured")
-    problem, fine = Problem(**given), coarse  # type: ignore[arg-type]
-    for _ in range(2):
-        fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
-    one, other = (solve(each, replace(problem, boundary=Boundary(["bottom"]))) for each in (coarse, fine))
+    problem = Problem(**given, boundary=Boundary(["bottom"]))  # type: ignore[arg-type]
+    one, other = (solve(each, problem) for each in (coarse, refined(coarse, 2)))
     assert difference(one, other) < certify(one).sigma_bound < sharp * difference(one, other)
 
 

@@ -3,6 +3,7 @@
 import dolfinx
 import numpy as np
 import pytest
+from made_cases import refined
 from makers.bounds import difference
 from mpi4py import MPI
 
@@ -11,19 +12,11 @@ from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.points import PartPoints
-from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 CONTACT = [Signorini("bottom", psi=-1)]
-
-
-def finer(domain: Domain) -> Domain:
-    for _ in range(2):
-        domain = refine(domain, np.arange(domain.mesh.topology.index_map(2).size_local, dtype=np.int32))
-    return domain
 
 
 @pytest.mark.parametrize(
@@ -41,7 +34,7 @@ def test_first_step(capacity: str, u_0: float | str, sharp: float):
     """Against a finer solution of the same step, which starts from u_0 as given, too."""
     coarse = build_domain(COMM, "square", 0.25, mesh="structured")
     evolution, problem = Evolution(0.05, 1, u_0, capacity), Diffusion(f=10, conditions=CONTACT)
-    one, other = (next(iter(evolve(domain, problem, evolution))) for domain in (coarse, finer(coarse)))
+    one, other = (next(iter(evolve(domain, problem, evolution))) for domain in (coarse, refined(coarse, 2)))
     certificate, error = StepBounds().certify(one), difference(one.solution, other.solution)
     assert certificate.proved
     assert error < certificate.sigma_bound < sharp * error
@@ -51,7 +44,7 @@ def test_second_step():
     """Against a finer solution with the content of the first step: the capacity times its continuous function."""
     capacity, bounds = "1 if x < 0.375 else 100", StepBounds()  # the finer mesh has the jump
     coarse = build_domain(COMM, "square", 0.25, mesh="structured")
-    fine = finer(coarse)
+    fine = refined(coarse, 2)
     first, second = evolve(coarse, Diffusion(f=10, conditions=CONTACT), Evolution(0.1, 2, 0, capacity))
     v = bounds.certify(first).v
     certificate, vertices = bounds.certify(second), corners(fine.mesh)

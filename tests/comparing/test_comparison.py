@@ -58,7 +58,7 @@ def test_solutions():
     case = load_case("example2")
     found = []
     for comm in (COMM, MPI.COMM_SELF)[: COMM.size]:
-        coarse, middle, fine = (solve_case(case.with_values({"solve.h": h}), comm) for h in (1 / 4, 1 / 8, 1 / 16))
+        coarse, middle, fine = (solve_case(case.with_values({"solve.h": h}), comm) for h in (1 / 3, 1 / 6, 1 / 12))
         far, near, back = compare(coarse, fine), compare(middle, fine), compare(fine, middle)
         assert near.norms == back.norms
         assert (near.jaccard, near.hausdorff) == (back.jaccard, back.hausdorff)
@@ -143,7 +143,7 @@ def exact_differences(coarse: Solution, fine: Solution) -> tuple[float, float]:
 
 def test_meshes_that_do_not_match():
     """Norms of differences are those of integrals over the intersections of cells."""
-    for name, h in (("example1", (1 / 4, 1 / 8)), ("example3", (1 / 4, 1 / 13))):
+    for name, h in (("example3", (1 / 4, 1 / 13)),):
         coarse, fine = (solve_case(load_case(name).with_values({"solve.h": each}), MPI.COMM_SELF) for each in h)
         norms = compare(coarse, fine).norms
         assert isinstance(norms, Differences)

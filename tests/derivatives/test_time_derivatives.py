@@ -8,14 +8,7 @@ import ufl
 from controlled import constants, directions_of, function, move, pairing
 from mpi4py import MPI
 
-from signorini_fenicsx import (
-    Diffusion,
-    Evolution,
-    InputError,
-    Signorini,
-    Storage,
-    evolve,
-)
+from signorini_fenicsx import Diffusion, Evolution, InputError, Signorini, Storage, evolve
 from signorini_fenicsx.derivatives import gradient_in_time
 from signorini_fenicsx.extend import Instant
 from signorini_fenicsx.meshes.meshing import build_domain

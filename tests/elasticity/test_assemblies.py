@@ -1,6 +1,5 @@
 """Assemblies of bodies with meshes of their own by case files: exact and published numbers, `check`, wrong files."""
 
-import csv
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from commands import signorini
+from commands import read_rows, signorini
 from mpi4py import MPI
 
 from signorini_fenicsx import load_case, load_solution, solve_case
@@ -101,8 +100,7 @@ def test_tables_and_pictures_have_the_other_side(tmp_path: Path, kind: str) -> N
     (tmp_path / "case.toml").write_text(text)
     solution = solve_case(load_case(tmp_path / "case.toml"))
     write_solution(solution, tmp_path / "out", fields=False)
-    with (tmp_path / "out" / "pairs.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = read_rows(tmp_path / "out" / "pairs.csv")
     assert {row["part"] for row in rows} == ({"low.top", "up.bottom"} if kind == "tied" else {"low.top"})
     for part, sign in (("low.top", -1), ("up.bottom", 1)):
         here = [row for row in rows if row["part"] == part]
@@ -125,10 +123,8 @@ def test_steps_have_the_other_side(tmp_path: Path) -> None:
     (tmp_path / "case.toml").write_text(text + "[time]\nend = 1\nsteps = 2\n")
     done = signorini(tmp_path, "solve", "case.toml", "--output", "out", "--plot")
     assert done.returncode == 0
-    with (tmp_path / "out" / "pairs.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    with (tmp_path / "out" / "steps.csv").open() as file:
-        steps = list(csv.DictReader(file))
+    rows = read_rows(tmp_path / "out" / "pairs.csv")
+    steps = read_rows(tmp_path / "out" / "steps.csv")
     for part in ("low.top", "up.bottom"):
         for step in steps:
             here = [row for row in rows if (row["part"], row["step"]) == (part, step["step"])]

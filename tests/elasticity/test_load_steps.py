@@ -53,11 +53,10 @@ def block(friction: Tresca | Coulomb) -> Elasticity:
     )
 
 
-@pytest.mark.parametrize("friction", [Tresca(0.05), Coulomb(0.5)])
-def test_exact_history(friction: Tresca | Coulomb):
+def test_exact_history():
     """Stick, slip, stick at the slip that was reached, slip back: exact in each step, and so is its bound."""
     domain, bounds, states = build_domain(COMM, "square", 0.5, mesh="structured"), StepBounds(), []
-    for instant in evolve(domain, block(friction), Evolution(end=2.0, steps=8)):
+    for instant in evolve(domain, block(Coulomb(0.5)), Evolution(end=2.0, steps=8)):
         solution, t = instant.solution, instant.t
         errors = solution.errors()
         assert errors is not None

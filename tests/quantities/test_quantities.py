@@ -1,6 +1,5 @@
 """Quantities are within their intervals, which shrink as they should; fluxes without bounds are told."""
 
-import csv
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import ufl
 from agreement import on_one_rank
-from commands import signorini
+from commands import read_rows, signorini
 from made_cases import case_of
 from makers.quantities import random_row
 from mpi4py import MPI
@@ -194,14 +193,11 @@ def test_energies_of_laws(conditions: list, known: float):
 def test_inside_the_domain():
     """The flux across a crack, with a ramp, and the integral of the jump, of a known solution."""
     solution = solve_case(load_case("crack").with_values({"solve.h": 1 / 4}))
-    through, jump = solution.quantity(Flux("slit", weight="x*(1 + x)")), solution.quantity(Integral(parts="slit"))
-    assert through.guaranteed, through.reason
-    assert through.lower <= 1.5 * (0.5**3.5 / 3.5 - 0.5**1.5 / 6) <= through.upper
+    through, jump = solution.quantity(Flux("slit", weight="x^2*(1 + x)^2")), solution.quantity(Integral(parts="slit"))
+    assert through.guaranteed, through.reason  # the weight is no quadratic, up to the tip
+    assert through.lower <= 1.5 * (0.5**5.5 / 5.5 - 0.5**4.5 / 3.5 + 0.5**1.5 / 24) <= through.upper
     assert through.width < 0.02
     assert jump.lower <= 0.8 * 0.5**2.5 <= jump.upper
-    steep = solution.quantity(Flux("slit", weight="x^2*(1 + x)^2"))  # which no quadratic is, up to the tip
-    assert steep.guaranteed, steep.reason
-    assert steep.lower <= 1.5 * (0.5**5.5 / 5.5 - 0.5**4.5 / 3.5 + 0.5**1.5 / 24) <= steep.upper
     with pytest.raises(InputError, match="has no law; take 'slit'"):
         solution.quantity(Flux("slit (other side)"))
 
@@ -411,16 +407,16 @@ def test_case_file(folder: Path):
 def test_adapt(folder: Path):
     """`adapt` refines until an interval is short enough, and fails if it has too few cells for that."""
     (folder / "case.toml").write_text(CASE, encoding="utf-8")
-    wanted = "adapt", "case.toml", "--quantity", "left half", "--width"
-    ended = signorini(folder, *wanted, "1e-3", "--output", "found")
+    wanted = "adapt", "case.toml", "--h", "1/2", "--quantity", "left half", "--width"
+    ended = signorini(folder, *wanted, "2e-3", "--output", "found")
     assert ended.returncode == 0, ended.stderr
     found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]["left half"]
-    rows = list(csv.DictReader((folder / "found" / "adapt.csv").open(encoding="utf-8")))
+    rows = read_rows(folder / "found" / "adapt.csv")
     lower, upper = ([float(row[f"quantities.left half.{end}"]) for row in rows] for end in ("lower", "upper"))
-    assert found["upper"] - found["lower"] <= 1e-3 < upper[0] - lower[0]
+    assert found["upper"] - found["lower"] <= 2e-3 < upper[0] - lower[0]
     assert lower[-1] == found["lower"]
     assert {"quantities.inflow.value", "quantities.unbounded.reason"} <= set(rows[0])
-    assert signorini(folder, *wanted, "1e-9", "--max-cells", "200", "--output", "failed").returncode == 1
+    assert signorini(folder, *wanted, "1e-9", "--max-cells", "40", "--output", "failed").returncode == 1
     for arguments, words in (
         (("--quantity", "left half"), "belong together"),
         (("--quantity", "nothing", "--width", "1"), "case has left half, inflow, unbounded"),

@@ -1,12 +1,11 @@
 """Cases in time have their quantities after each step, in tables, summaries and pictures, also after a restart."""
 
-import csv
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import signorini
+from commands import read_rows, signorini
 from in_time import run_in_two
 from made_cases import SQUARE_BODY
 from mpi4py import MPI
@@ -83,11 +82,6 @@ direction = [1, 0]
 """A body that slides on: u = (0.05 + 0.09t + 0.04y, −0.1y)."""
 
 
-def rows_in(folder: Path) -> list[dict[str, str]]:
-    """The table of the steps."""
-    return list(csv.DictReader((folder / "steps.csv").open(encoding="utf-8")))
-
-
 def ends(row: dict[str, str], name: str) -> tuple[float, float]:
     """The interval of a quantity in a row."""
     return float(row[f"quantities.{name}.lower"]), float(row[f"quantities.{name}.upper"])
@@ -106,7 +100,7 @@ def falling(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_each_step(falling: Path):
     """`solve` has an interval for each step, around the known mean; the last ones are in the summary."""
-    rows = rows_in(falling / "found")
+    rows = read_rows(falling / "found" / "steps.csv")
     for name, known in (("mean", (-0.1, -0.2)), ("energy", (-0.05, -0.2))):  # of 5u² + u − 10u₀u
         for row, value in zip(rows[:2], known, strict=True):
             lower, upper = ends(row, name)
@@ -176,7 +170,9 @@ def test_what_is_kept_is_that_of_all_ranks():
 def test_after_a_restart(falling: Path):
     """Intervals after a restart are those of a run in one piece."""
     run_in_two(load_case(falling / "falling.toml"), falling / "two", step=2)
-    for one, other in zip(rows_in(falling / "found"), rows_in(falling / "two"), strict=True):
+    for one, other in zip(
+        read_rows(falling / "found" / "steps.csv"), read_rows(falling / "two" / "steps.csv"), strict=True
+    ):
         for name in ("mean", "held"):
             assert ends(one, name) == pytest.approx(ends(other, name), abs=1e-9)
 
@@ -189,7 +185,7 @@ def test_slip_after_a_restart(folder: Path):
     run_in_two(load_case(file), folder / "two", step=2)
 
     def compare() -> None:
-        for row in rows_in(folder / "two"):
+        for row in read_rows(folder / "two" / "steps.csv"):
             lower, upper = ends(row, "slip")
             assert lower - 1e-9 <= 0.05 + 0.09 * float(row["t"]) <= upper + 1e-9
             assert upper - lower < 1e-3

@@ -21,18 +21,15 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.proof import proof_of
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.expressions import Binary, exactly, read
+from signorini_fenicsx.expressions import Binary, exactly, read, values
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
-    Cells,
-    split_vertices,
-)
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, split_vertices
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given, gathered
-from signorini_fenicsx.rigorous.elasticity.loads import PROVED
+from signorini_fenicsx.rigorous.elasticity.loads import PROVED, Moments, off_subcells
 from signorini_fenicsx.rigorous.elasticity.theorem import prove
 from signorini_fenicsx.rigorous.elementary import FromArb
 from signorini_fenicsx.solving.solver import solve
@@ -181,8 +178,20 @@ def test_loads_that_vary():
     assert proof.proven.bound > 0.01
 
 
-def test_constants():
-    """Those of the proof are not below those of the certificate."""
+def test_moments_and_constants():
+    """What is off Q and Π₁ against quadrature; the constants are not below those of the certificate."""
+    rng, given = np.random.default_rng(0), Given((), True, FromArb())
+    for dim, text in ((2, "1 + 2*x - y^2 + x*y"), (3, "1 + 2*x - y^2 + x*z")):
+        vertices, tree = np.eye(dim + 1, dim) + 0.1 * rng.normal(size=(5, dim + 1, dim)), read(text, "xyz"[:dim])
+        moments, (lam, weights) = Moments.of(tree, vertices, given, "f"), quadrature(dim, 6)
+        corners = vertices, split_vertices(vertices)
+        whole, parts = (values(tree, np.einsum("pk,...kd->...pd", lam, x)) for x in corners)
+        hats = np.einsum("np,pk,p->nk", whole, lam, weights)
+        constant = (dim + 2) * hats.sum(axis=1, keepdims=True) - (dim + 1) ** 2 * hats
+        off = ((parts - constant[:, :, None]) ** 2 @ weights).mean(axis=1)
+        np.testing.assert_allclose(off_subcells(moments, dim).hi, off, rtol=1e-9)
+        off = np.sqrt((whole - moments.linear().lo @ lam.T) ** 2 @ weights)
+        np.testing.assert_allclose(moments.off_linear().hi, off, rtol=1e-9)
     assert PROVED[2][0] >= KORN[2]
     assert PROVED[2][1] >= TRACE[2]
 
