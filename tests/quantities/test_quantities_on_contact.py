@@ -61,12 +61,12 @@ def test_on_curved_foundations():
     """A ring between two curved foundations: one has a force, both together that of the weight."""
     touching = [Contact("outer", gap="0.02*(1 + y)"), Contact("inner", gap="0.02*(1 - y)", friction=Tresca(0.1))]
     ring = solve(
-        build_domain(COMM, "annulus", 0.8, mesh="unstructured"), Elasticity(1.0, 0.3, f=[0, -0.1], conditions=touching)
+        build_domain(COMM, "annulus", 0.6, mesh="unstructured"), Elasticity(1.0, 0.3, f=[0, -0.1], conditions=touching)
     )
     weight = 0.1 * COMM.allreduce(float(ring.spaces.cell_measures.sum()))
     outer, both = (ring.quantity(Force(parts, [0, 1])) for parts in ("outer", ["outer", "inner"]))
     assert all(each.guaranteed for each in (outer, both))
-    assert around(both, weight, 1e-7)  # known but for rounding
+    assert around(both, weight, 1e-8)
     assert 0 < outer.width < 0.2 * weight
     height = ring.quantity(Mean(parts="outer", direction=[0, 1]))
     assert height.guaranteed
