@@ -72,22 +72,12 @@ def test_all_laws_at_once(folder: Path):
     assert solution.segments_of_parts() == other.segments_of_parts()
     large = solve_case(case, COMM, tuning=Tuning(direct_up_to=0, predict_from=0, coarsen_from=0))
     assert large.norms() == pytest.approx(solution.norms(), rel=1e-8)
-    write_solution(solution, folder, fields=True)
+    write_solution(solution, folder, fields=False)
     read = load_solution(folder, COMM)
     assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
     assert read.segments_of_parts() == solution.segments_of_parts()
     again = solve_case(case, COMM, domain=read.spaces.domain, start=read)
     assert len(again.outcome.history) <= 2
-    header, *rows = (folder / "facets.csv").read_text(encoding="utf-8").splitlines()
-    assert header.endswith(",condition,segment")
-    names = {row.split(",")[0]: set() for row in rows}
-    for row in rows:
-        names[row.split(",")[0]].add(row.rsplit(",", 1)[1])
-    found = {
-        part: {name for name, on in segments.items() if on["facets"]}
-        for part, segments in solution.segments_of_parts().items()
-    }
-    assert names == found
 
 
 @pytest.mark.parametrize("seed", range(4))

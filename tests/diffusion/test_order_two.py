@@ -1,4 +1,4 @@
-"""RT1: order two with error bounds, the forms as an oracle, all laws on Γ_S, ranks, files, what is refused."""
+"""RT1: order two with error bounds, the forms as an oracle, all laws on Γ_S, ranks, what is refused."""
 
 import json
 import math
@@ -242,22 +242,6 @@ def test_ranks_without_cells(algorithm: str):
     )
     assert together.norms() == pytest.approx(alone.norms(), rel=1e-10)
     assert together.certify().bound == pytest.approx(alone.certify().bound, rel=1e-8)
-
-
-@pytest.mark.parallel(2)
-def test_files(tmp_path: Path):
-    """A solution is read as it was written, on any ranks; its tables have the vertices of facets."""
-    folder = COMM.bcast(tmp_path)
-    domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
-    solution = transition(domain)
-    write_solution(solution, folder / "out")
-    read = load_solution(folder / "out", COMM)
-    assert isinstance(read, LinearSolution)
-    assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
-    assert read.contact == pytest.approx(solution.contact)
-    assert vars(read.kkt) == pytest.approx(vars(solution.kkt), abs=1e-12)
-    rows = (folder / "out" / "vertices.csv").read_text().splitlines()
-    assert len(rows) == 1 + 2 * COMM.allreduce(len(solution.spaces.facets))
 
 
 def test_command_line(tmp_path: Path):

@@ -7,7 +7,7 @@ from dolfinx import fem, la
 from made_cases import petsc_options
 from mpi4py import MPI
 
-from signorini_fenicsx import Domain, InputError, load_case, solve_case
+from signorini_fenicsx import Domain, load_case, solve_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.forms.mixed import Fields
@@ -162,11 +162,6 @@ def test_order_in_h(vary: Vary):
     slopes = fitted_slopes(rows, vary)
     for name in ("sigma_V", "u_Q", "p_Lambda"):
         assert 0.9 < slopes[name] < 1.4
-
-
-def test_eps_cannot_vary_without_a_penalty():
-    with pytest.raises(InputError, match="alg1 has no ε"):
-        convergence_study(penalised("example1", "alg1", 1.0), Vary.EPS, range(3), 5)
 
 
 @pytest.mark.parallel([1, 2])
