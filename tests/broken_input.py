@@ -201,6 +201,16 @@ def _third_cell(rng: random.Random, nodes: list[str], elements: list[str]) -> No
     elements.append(f"{len(elements) + 1} 2 2 3 3 7 13 26")
 
 
+def _hanging(rng: random.Random, nodes: list[str], elements: list[str]) -> None:
+    cells = [k for k, line in enumerate(elements) if line.split()[1] == "2"][::2]  # each has an edge a, c with the next
+    k = rng.choice(cells)
+    *about, a, b, c = elements[k].split()
+    x, y = (sum(float(nodes[int(end) - 1].split()[i]) for end in (a, c)) / 2 for i in (1, 2))
+    nodes.append(f"26 {x} {y} 0")
+    elements[k] = " ".join([*about, a, b, "26"])
+    elements.append(" ".join([str(len(elements) + 1), *about[1:], "26", b, c]))
+
+
 def _no_group(rng: random.Random, nodes: list[str], elements: list[str]) -> None:
     elements[:] = [line for line in elements if line.split()[1:4] != ["1", "2", "1"]]
 
@@ -240,6 +250,6 @@ def _wrong_count(rng: random.Random, nodes: list[str], elements: list[str]) -> b
 
 MESH_MUTATIONS: list[Mutation] = [
     *(_truncated, _empty, _prose, _noise, _not_finite, _deleted_node, _coinciding_nodes, _folded, _out_of_plane),
-    *(_quadrilateral, _second_order, _doubled_cell, _third_cell, _no_group, _left_facet, _overlap, _inside, _nowhere),
-    *(_no_cells, _floating_component, _wrong_count),
+    *(_quadrilateral, _second_order, _doubled_cell, _third_cell, _hanging, _no_group, _left_facet, _overlap, _inside),
+    *(_nowhere, _no_cells, _floating_component, _wrong_count),
 ]
