@@ -277,8 +277,10 @@ def examine(kind: str, seed: int, cells: Mapping[int, int] = CELLS) -> ElasticRo
 
 
 def random_body(seed: int, kind: str) -> list[Found]:
-    """Examine a problem (collective)."""
+    """Examine a problem; nothing if it has no solution (collective)."""
     row = examine(kind, seed)
+    if row.ending == "no solution":
+        return []
     if np.isnan(row.difference):
         return [Found(f"{row.problem}: {row.ending}", [row.ending] * (not row.wrong), {}, row.wrong, shown=False)]
     words = f"{row.difference:10.3e} {row.ratio:6.3f} {row.finer / row.difference:6.3f} {row.problem}"

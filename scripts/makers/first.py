@@ -59,7 +59,7 @@ def changed(rng: np.random.Generator, name: str) -> dict[str, Any]:
     if fixed and rng.random() < 0.3:
         new["boundary.fixed"] = {part: ways for part, ways in fixed.items() if rng.random() < 0.5}
         new["boundary.neumann"] = [*tree["boundary"].get("neumann", []), *(fixed.keys() - new["boundary.fixed"].keys())]
-    return new | ({"exact": None} if "exact" in tree else {})
+    return new
 
 
 def first_problem(seed: int) -> list[Found]:
