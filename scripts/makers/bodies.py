@@ -69,7 +69,7 @@ NO_SOLUTION += ("more comes in",)
 type Made = tuple[str, Domain, Any]
 """A problem in words, its mesh, and the problem."""
 
-CELLS = {2: 1000, 3: 2000}
+CELLS = {2: 1500, 3: 3000}
 """The finer mesh has at most so many, by dimension."""
 
 
