@@ -24,7 +24,7 @@ from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.compiling import patiently
+from signorini_fenicsx.base.compiling import alone, in_a_sentence
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.local_options import JSON, unseen
 from signorini_fenicsx.base.owned import original_cells
@@ -36,6 +36,8 @@ OWN = "signorini_fenicsx"
 OF_DOLFINX, OF_FFCX = JSON
 NEEDED = {"language": "C", "scalar_type": "float64", "sum_factorization": False, "part": "full"}
 """Options of FFCx without which no form of this program is compiled, or not all of it."""
+PATIENCE = 60
+"""Seconds until a file that rank 0 has written is seen on the other nodes, at most."""
 LOADED: dict[str, Any] = {}
 """The forms that this process has loaded or compiled, by signature of form and options."""
 FEW = 10
@@ -171,21 +173,21 @@ def compiled(
 
     Raises:
         InputError: If a configuration file of these libraries has an option that they do not have.
-        OSError: On all ranks, if there is no working C compiler, the cache cannot be used, or the compiler of another
-            process does not end.
+        OSError: On all ranks, if there is no working C compiler, or the cache cannot be used.
     """
     _check_files()
-    options = dolfinx.jit.get_options(jit_options) | {"timeout": 1}
+    options = dolfinx.jit.get_options(jit_options)
     if "cache_dir" not in (jit_options or {}):
         options["cache_dir"] = Path(options["cache_dir"]) / OWN
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
-    work = partial(_kept, signature, partial(_compile_here, ufl_object, form_compiler_options, options))
-    cache = options["cache_dir"]
-    module = on_root_only(comm, lambda: patiently(work, cache, compiling=True))
+    cache, options["timeout"] = options["cache_dir"], 1 if comm.rank == 0 else PATIENCE
+    work = partial(_compile_here, ufl_object, form_compiler_options, options)
+    module = on_root_only(comm, lambda: _kept(signature, lambda: alone(work, cache)))
     failure: OSError | None = None
     if comm.rank != 0:
         try:
-            module = patiently(work, cache, compiling=False)
+            with in_a_sentence(cache):
+                module = _kept(signature, work)
         except OSError as error:
             failure = error
     failures = [error for error in comm.allgather(failure) if error is not None]

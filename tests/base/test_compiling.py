@@ -1,8 +1,6 @@
 """Compiled forms: files of killed processes and of living ones in the cache, and no compiler."""
 
 import fcntl
-import os
-import time
 from pathlib import Path
 
 import dolfinx.mesh
@@ -13,7 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.compiling import LOCK, QUIET, clear_if_left, patiently
+from signorini_fenicsx.base.compiling import LOCK, alone
 from signorini_fenicsx.base.fenicsx import compiled
 
 COMM = MPI.COMM_WORLD
@@ -23,54 +21,49 @@ def small_form(comm: MPI.Comm) -> ufl.Form:
     return fem.Constant(dolfinx.mesh.create_unit_square(comm, 2, 2), 1.0) * ufl.dx
 
 
-def as_killed(cache: Path, age: float) -> Path:
-    """Leave the cache like a process that is killed while it compiles its only form."""
-    (ready,) = cache.glob("*.c.cached")
-    ready.unlink()
-    for path in cache.iterdir():
-        os.utime(path, (time.time() - age,) * 2)
-    return ready.with_suffix("")
-
-
 @pytest.mark.parallel([1, 2])
 def test_a_form_left_by_a_killed_process_is_compiled_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    form = small_form(COMM)
-    compiled(COMM, form, jit_options={"cache_dir": folder})
+    """Also one that is left between two others, whose files stay."""
+    for form in (small_form(COMM), 3 * small_form(COMM)):
+        compiled(COMM, form, jit_options={"cache_dir": folder})
     COMM.Barrier()
     if COMM.rank == 0:
-        as_killed(folder, 2 * QUIET)
+        next(folder.glob("*.c.cached")).unlink()
+    before = {path: path.stat().st_mtime_ns for path in folder.glob("*.c.cached")}
+    COMM.Barrier()
     monkeypatch.setattr(fenicsx, "LOADED", {})  # as in another process
-    assert compiled(COMM, form, jit_options={"cache_dir": folder})[0] is not None
-    assert len(list(folder.glob("*.c.cached"))) == 1
+    for form in (small_form(COMM), 3 * small_form(COMM)):
+        assert compiled(COMM, form, jit_options={"cache_dir": folder})[0] is not None
+    assert len(list(folder.glob("*.c.cached"))) == 2
+    assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
-def test_whatever_dolfinx_says_of_its_wait(tmp_path: Path):
-    """The form is not read from the words of the error."""
-    form, times = tmp_path / "form.c", iter([TimeoutError("in other words"), None])
-    form.touch()
-    os.utime(form, (time.time() - 2 * QUIET,) * 2)
+def test_one_process_at_a_time(tmp_path: Path):
+    """While a form is loaded or compiled no other process has the lock, whatever DOLFINx says of its wait."""
+    (tmp_path / "form.c").touch()
+    times = iter([TimeoutError("in other words"), None])
 
     def work() -> str:
+        with (tmp_path / LOCK).open() as lock, pytest.raises(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
         if (failure := next(times)) is not None:
             raise failure
         return "loaded"
 
-    assert patiently(work, tmp_path, compiling=True) == "loaded"
-    assert not form.exists()
+    assert alone(work, tmp_path) == "loaded"
+    assert not (tmp_path / "form.c").exists()
 
 
-def test_a_form_that_may_be_alive_is_left_alone(tmp_path: Path):
-    compiled(MPI.COMM_SELF, small_form(MPI.COMM_SELF), jit_options={"cache_dir": tmp_path})
-    form = as_killed(tmp_path, 0)
-    assert not clear_if_left(form)
-    for path in tmp_path.iterdir():
-        os.utime(path, (time.time() - 2 * QUIET,) * 2)
-    with (tmp_path / LOCK).open() as lock:
-        fcntl.flock(lock, fcntl.LOCK_SH)  # as any process that compiles does
-        assert not clear_if_left(form)
-    assert form.exists()
-    assert clear_if_left(form)
-    assert not form.exists()
+def test_without_locks_nothing_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refused(*_: object) -> None:
+        raise OSError
+
+    (tmp_path / "form.c").touch()
+    monkeypatch.setattr(fcntl, "flock", refused)
+    assert alone(lambda: "loaded", tmp_path) == "loaded"
+    with pytest.raises(OSError, match="waits; set XDG_CACHE_HOME"):
+        alone(lambda: exec("raise TimeoutError('waits')"), tmp_path)
+    assert (tmp_path / "form.c").exists()
 
 
 def test_forms_have_a_folder_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
