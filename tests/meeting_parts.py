@@ -9,7 +9,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.meshes.checks import faces
-from signorini_fenicsx.meshes.grids import Share, tetrahedron_grid, triangle_grid
+from signorini_fenicsx.meshes.grids import Share, rectangle_grid, tetrahedron_grid
 from signorini_fenicsx.physics.diffusion.case import Case
 
 type Lines = dict[str, tuple[int, float, float]]
@@ -20,7 +20,7 @@ LINES: Lines = {"fault": (1, 0, 1), "cross": (0, 0, 1)}
 
 def crossed_square(folder: Path, n: int, text: str, lines: Lines | None = None) -> Case:
     """A case on a square of n × n squares cut in halves, by the text of its file without geometry and sides."""
-    points, cells = triangle_grid(2**0.5 / n, "right", Share())
+    points, cells = rectangle_grid(np.zeros(2), np.ones(2), 2**0.5 / n, "right", Share())
     edges = np.unique(faces(cells), axis=0)
     x = points[edges]
     names = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, 0.0), "top": (1, 1.0)}

@@ -61,10 +61,10 @@ def _places(rows: Indices, lengths: Indices) -> tuple[Indices, Indices]:
     return np.repeat(rows, lengths), np.arange(lengths.sum()) - np.repeat(ends - lengths, lengths)
 
 
-def triangle_grid(h: float, diagonal: str, share: Share, *, side: int = 1) -> Simplices:
-    """The unit square, or for side 2 the L-shape (0, 2)² without [1, 2)²: triangles of diameter at most h."""
+def l_grid(h: float, diagonal: str, share: Share) -> Simplices:
+    """The L-shape (0, 2)² without [1, 2)²: triangles of diameter at most h."""
     per_unit = math.ceil(_per_unit(h, diagonal) * (1 - 1e-12))
-    points, triangles = _cut_squares(_Rows(_l_shape(side, per_unit), share), diagonal)
+    points, triangles = _cut_squares(_Rows(_l_shape(2, per_unit), share), diagonal)
     return points / per_unit, triangles
 
 

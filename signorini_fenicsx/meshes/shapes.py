@@ -17,7 +17,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.expressions import parse_number
 from signorini_fenicsx.meshes.domain import Part, other_side
-from signorini_fenicsx.meshes.grids import Share, Simplices, rectangle_grid, tetrahedron_grid, triangle_grid
+from signorini_fenicsx.meshes.grids import Share, Simplices, l_grid, rectangle_grid, tetrahedron_grid
 
 TINY = np.finfo(np.float64).tiny
 SAME = 1e-6
@@ -70,10 +70,15 @@ class Shape:
         return [name for name, part in self.parts.items() if part.side > 0]
 
 
-def _plane(axis: int, value: float, size: float = 1.0) -> NamedPart:
+def _plane(axis: int, value: float, size: float) -> NamedPart:
     """The side on which this coordinate has this value; `size` is that of the domain in this direction."""
     other, off = 1 - min(axis, 1), SAME * size
     return NamedPart(lambda x: x[other], "xy"[other], contains=lambda x: np.abs(x[axis] - value) <= off)
+
+
+def _between(names: str, axis: int, low: float, high: float) -> dict[str, NamedPart]:
+    """The two sides at the ends of an interval of a coordinate, by their names."""
+    return {name: _plane(axis, end, high - low) for name, end in zip(names.split(), (low, high), strict=True)}
 
 
 def _circle(radius: float, *, lower_half: bool = False) -> NamedPart:
@@ -173,6 +178,20 @@ def _cube() -> None:
     gmsh.model.occ.synchronize()
 
 
+@functools.cache
+def _rectangle(left: float, right: float, low: float, high: float) -> Shape:
+    width, height = right - left, high - low
+    return Shape(
+        2,
+        width * height,
+        math.hypot(width, height),
+        _between("left right", 0, left, right) | _between("bottom top", 1, low, high),
+        _polygon((0, 0), (width, 0), (width, height), (0, height)),
+        functools.partial(rectangle_grid, np.array([left, low]), np.array([right, high])),
+        (left, low),
+    )
+
+
 L_CORNERS = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
 NOTCH = {
     "notch_x": NamedPart(lambda x: x[1], "y", contains=lambda x: (np.abs(x[0] - 1) <= SAME) & (x[1] >= 1 - SAME)),
@@ -180,58 +199,33 @@ NOTCH = {
 }
 
 SHAPES: Mapping[str, Shape] = {
-    "square": Shape(
-        2,
-        1.0,
-        math.sqrt(2),
-        {"left": _plane(0, 0), "right": _plane(0, 1), "bottom": _plane(1, 0), "top": _plane(1, 1)},
-        _polygon((0, 0), (1, 0), (1, 1), (0, 1)),
-        triangle_grid,
-    ),
+    "square": _rectangle(0.0, 1.0, 0.0, 1.0),
     "lshape": Shape(
         2,
         3.0,
         2 * math.sqrt(2),
-        {
-            "left": _plane(0, 0),
-            "right": _plane(0, 2),
-            "bottom": _plane(1, 0),
-            "top": _plane(1, 2),
-            **NOTCH,
-        },
+        _between("left right", 0, 0, 2) | _between("bottom top", 1, 0, 2) | NOTCH,
         _polygon(*L_CORNERS),
-        functools.partial(triangle_grid, side=2),
+        l_grid,
     ),
     "slit": Shape(
         2,
         4.0,
         2 * math.sqrt(2),
-        {
-            "left": _plane(0, -1),
-            "right": _plane(0, 1),
-            "bottom": _plane(1, -1),
-            "top": _plane(1, 1),
-            "slit": _slit(1),
-            other_side("slit"): _slit(-1),
-        },
+        _between("left right", 0, -1, 1)
+        | _between("bottom top", 1, -1, 1)
+        | {"slit": _slit(1), other_side("slit"): _slit(-1)},
         _slit_square,
     ),
     "half_disk": Shape(
-        2, math.pi / 2, 2.0, {"arc": _circle(1.0, lower_half=True), "diameter": _plane(1, 0)}, _half_disk
+        2, math.pi / 2, 2.0, {"arc": _circle(1.0, lower_half=True), "diameter": _plane(1, 0, 1)}, _half_disk
     ),
     "annulus": Shape(2, 0.75 * math.pi, 2.0, {"inner": _circle(0.5), "outer": _circle(1.0)}, _annulus),
     "cube": Shape(
         3,
         1.0,
         math.sqrt(3),
-        {
-            "left": _plane(0, 0),
-            "right": _plane(0, 1),
-            "front": _plane(1, 0),
-            "back": _plane(1, 1),
-            "bottom": _plane(2, 0),
-            "top": _plane(2, 1),
-        },
+        _between("left right", 0, 0, 1) | _between("front back", 1, 0, 1) | _between("bottom top", 2, 0, 1),
         _cube,
         tetrahedron_grid,
     ),
@@ -239,15 +233,7 @@ SHAPES: Mapping[str, Shape] = {
         3,
         3.0,
         3.0,
-        {
-            "left": _plane(0, 0),
-            "right": _plane(0, 2),
-            "front": _plane(1, 0),
-            "back": _plane(1, 2),
-            **NOTCH,
-            "bottom": _plane(2, 0),
-            "top": _plane(2, 1),
-        },
+        _between("left right", 0, 0, 2) | _between("front back", 1, 0, 2) | NOTCH | _between("bottom top", 2, 0, 1),
         _polygon(*L_CORNERS, height=1.0),
         functools.partial(tetrahedron_grid, side=2),
     ),
@@ -295,22 +281,3 @@ def _intervals(name: str) -> tuple[float, float, float, float]:
     if not (left < right and low < high):
         raise InputError(f"shape '{name}': each interval must begin with the smaller number")
     return left, right, low, high
-
-
-@functools.cache
-def _rectangle(left: float, right: float, low: float, high: float) -> Shape:
-    width, height = right - left, high - low
-    return Shape(
-        2,
-        width * height,
-        math.hypot(width, height),
-        {
-            "left": _plane(0, left, width),
-            "right": _plane(0, right, width),
-            "bottom": _plane(1, low, height),
-            "top": _plane(1, high, height),
-        },
-        _polygon((0, 0), (width, 0), (width, height), (0, height)),
-        functools.partial(rectangle_grid, np.array([left, low]), np.array([right, high])),
-        (left, low),
-    )

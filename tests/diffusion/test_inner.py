@@ -20,7 +20,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.cut import Side, opened
 from signorini_fenicsx.meshes.domain import other_side
-from signorini_fenicsx.meshes.grids import Share, tetrahedron_grid, triangle_grid
+from signorini_fenicsx.meshes.grids import Share, rectangle_grid, tetrahedron_grid
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
@@ -124,7 +124,7 @@ def test_a_slit_that_is_closed_over_its_whole_length():
 
 def in_square(sides: dict[str, Side], **lines: tuple[int, float, float]) -> FileMesh:
     """A square of 4 × 4 cells cut in halves, with inner parts: lines x_i = 1/2 from one end to another."""
-    points, cells = triangle_grid(math.sqrt(2) / 4, "right", Share())
+    points, cells = rectangle_grid(np.zeros(2), np.ones(2), math.sqrt(2) / 4, "right", Share())
     everything = np.unique(faces(cells), axis=0)
     parts = {}
     for name, (axis, begin, end) in lines.items():
