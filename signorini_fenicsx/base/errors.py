@@ -50,6 +50,25 @@ class LaterFailure(NumericalFailure):
         self.certificate, self.state = certificate, state
 
 
+@contextlib.contextmanager
+def telling(place: object) -> Iterator[None]:
+    """Begin with a place what is refused in this context."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
+
+
+@contextlib.contextmanager
+def reading(place: object) -> Iterator[None]:
+    """Refuse files that cannot be read in this context, or what is in them, in a sentence that begins with a place."""
+    try:
+        with telling(place):
+            yield
+    except OSError as error:
+        raise InputError(f"{place}: {error.strerror or error}") from None
+
+
 class WriteFailure(Exception):
     """A library could not write on this rank, and the other ranks may wait for it forever."""
 

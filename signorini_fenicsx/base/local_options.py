@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, reading
 from signorini_fenicsx.base.reading import text_of
 
 PETSC = (".petscrc", "petscrc")
@@ -39,17 +39,13 @@ def check() -> None:
         InputError: If one is not a small regular file, or not a JSON object.
     """
     for name in (*PETSC, *JSON):
-        try:
-            text = text_of(name)
-            if name in JSON and not isinstance(json.loads(text), dict):
-                raise ValueError
-        except FileNotFoundError:
-            pass
-        except OSError as error:
-            raise InputError(f"{name}: {error.strerror}") from None
-        except (ValueError, RecursionError):
-            what = "a JSON object" if name in JSON else "UTF-8"
-            raise InputError(f"{name}: is not {what}") from None
+        with reading(name), contextlib.suppress(FileNotFoundError):
+            try:
+                text = text_of(name)
+                if name in JSON and not isinstance(json.loads(text), dict):
+                    raise ValueError
+            except (ValueError, RecursionError):
+                raise InputError(f"is not {'a JSON object' if name in JSON else 'UTF-8'}") from None
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import telling
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
@@ -245,11 +245,9 @@ def _check_steps(system: System, problem: Any, evolution: Evolution, options: Op
     steps.start()
     for step in range(1, evolution.steps + 1):
         when = f"step {step}, t = {evolution.time(step):.5g}"
-        try:
+        with telling(when):
             for remark in system.check(steps.problem(step)):
                 remarks.setdefault(remark.partition(":")[0], f"{when}: {remark}")
-        except InputError as error:
-            raise InputError(f"{when}: {error}") from None
     return list(remarks.values())
 
 

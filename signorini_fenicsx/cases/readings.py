@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, reading
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.cases.complaints import shown
@@ -139,23 +139,22 @@ def with_points(probe: dict[str, Any], folder: Path) -> dict[str, Any]:
         InputError: If it cannot be read.
     """
     path = Path(os.path.normpath(folder / probe["file"]))
-    if "points" in probe:
-        raise InputError(f"{path}: a probe has points or a file, not both")
-    points, names = _read(path)
+    with reading(path):
+        if "points" in probe:
+            raise InputError("a probe has points or a file, not both")
+        points, names = _read(path)
     return {key: value for key, value in probe.items() if key != "file"} | {"points": points, "names": names}
 
 
 def _read(path: Path) -> tuple[list[list[float]], list[str] | None]:
     try:
         rows = list(csv.reader(text_of(path).splitlines()))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
     except (ValueError, csv.Error) as error:
-        raise InputError(f"{path}: not a CSV file: {error}") from None
+        raise InputError(f"not a CSV file: {error}") from None
     header = [each.strip().lower() for each in rows[0]] if rows else []
     axes = [axis for axis in AXES if axis in header]
     if axes not in (["x", "y"], ["x", "y", "z"]) or len(rows) < 2:
-        raise InputError(f"{path}: must have a line of names, x,y or x,y,z and perhaps name, then a line per point")
+        raise InputError("must have a line of names, x,y or x,y,z and perhaps name, then a line per point")
     points, names = [], []
     for line, row in enumerate(rows[1:], start=2):
         if not row:
@@ -166,6 +165,6 @@ def _read(path: Path) -> tuple[list[list[float]], list[str] | None]:
             points.append([float(row[header.index(axis)]) for axis in axes])
         except ValueError:
             wanted = f"{len(header)} entries with numbers for {', '.join(axes)}"
-            raise InputError(f"{path}: line {line} must have {wanted}") from None
+            raise InputError(f"line {line} must have {wanted}") from None
         names += [row[header.index(NAME)].strip()] if NAME in header else []
     return points, names or None

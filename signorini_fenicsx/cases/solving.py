@@ -1,6 +1,5 @@
 """Solving the problem of a case file."""
 
-import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -8,13 +7,12 @@ from typing import Any
 
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError, check_kind
+from signorini_fenicsx.base.errors import InputError, check_kind, telling
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.complaints import naming
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cases.readings import check_places
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -95,18 +93,8 @@ def check_quantities_of(case: CaseFile, domain: Domain, posed: Any) -> None:
     """
     check_places(domain, case.probe, case.section)
     for each in case.quantity:
-        with _naming(each):
+        with telling(f"[[quantity]] {each.name}"):
             check_quantities(domain, posed, [each.made()])
-
-
-@contextlib.contextmanager
-def _naming(quantity: QuantityTexts) -> Iterator[None]:
-    """Name a quantity of a case in what is refused about it."""
-    try:
-        yield
-    except InputError as error:
-        error.args = (f"[[quantity]] {quantity.name}: {error}",)
-        raise
 
 
 def check_named(case: CaseFile, name: str | None) -> None:
@@ -130,7 +118,7 @@ def quantities_of(solution: Solution, near: Mapping[str, Quantity | None] | None
     """
     found, before = {}, near or {}
     for each in solution.source.quantity if isinstance(solution.source, CaseFile) else []:
-        with _naming(each):
+        with telling(f"[[quantity]] {each.name}"):
             interval = solution.quantity(each.made(), before.get(each.name))
             found[each.name] = replace(interval, symbol=each.symbol, unit=each.unit)
     return found

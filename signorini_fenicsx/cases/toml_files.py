@@ -5,7 +5,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, reading
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.cases.complaints import shown
 
@@ -19,21 +19,20 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises:
         InputError: If it cannot be read.
     """
-    try:
+    with reading(path):
         if not path.is_file():
-            raise InputError(f"{path}: is a folder, not a TOML file" if path.is_dir() else f"{path}: no such file")
-        text = text_of(path)
-        if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
-            raise InputError(f"{path}: a key is nested too deeply")
-        return tomllib.loads(text)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except tomllib.TOMLDecodeError as error:
-        place = re.search(r"at line (\d+)", str(error))
-        line = "" if place is None else f": {shown(text.splitlines()[int(place[1]) - 1].strip())}"
-        hint = '; texts are in quotation marks, such as f = "sin(x)"' if "Invalid value" in str(error) else ""
-        raise InputError(f"{path}: not a TOML file: {error}{line}{hint}") from None
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
-    except ValueError:  # Python reads at most 4300 digits
-        raise InputError(f"{path}: an integer of thousands of digits; numbers are at most 1e308") from None
+            raise InputError("is a folder, not a TOML file" if path.is_dir() else "no such file")
+        try:
+            text = text_of(path)
+            if max(part.count(".") for part in re.split(r"[=,*/+()\n]", text)) > MAX_DOTS:
+                raise InputError("a key is nested too deeply")
+            return tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            place = re.search(r"at line (\d+)", str(error))
+            line = "" if place is None else f": {shown(text.splitlines()[int(place[1]) - 1].strip())}"
+            hint = '; texts are in quotation marks, such as f = "sin(x)"' if "Invalid value" in str(error) else ""
+            raise InputError(f"not a TOML file: {error}{line}{hint}") from None
+        except (UnicodeDecodeError, RecursionError) as error:
+            raise InputError(f"not a TOML file: {error}") from None
+        except ValueError:  # Python reads at most 4300 digits
+            raise InputError("an integer of thousands of digits; numbers are at most 1e308") from None

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, telling
 from signorini_fenicsx.base.shipped import case_names
 
 _method, _bound, _results = (
@@ -109,10 +109,8 @@ def positive(option: str, text: str) -> float:
     """
     from signorini_fenicsx.expressions import parse_number
 
-    try:
+    with telling(option):
         value = parse_number(text)
-    except InputError as error:
-        raise InputError(f"{option}: {error}") from None
     if not 0 < value < math.inf:
         raise InputError(f"{option} {text}: must be greater than 0")
     return value

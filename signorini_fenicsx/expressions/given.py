@@ -11,7 +11,7 @@ from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, telling
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly, read, substituted, to_ufl, values
 from signorini_fenicsx.expressions.tree import Negative
 
@@ -43,14 +43,13 @@ def parsed(given: Any, names: str, key: str) -> Any:
         return parsed(given.tolist(), names, key)
     if isinstance(given, tuple | list):
         return [parsed(entry, names, key) for entry in given]
-    try:
+    with telling(key):
         if isinstance(given, str):
             return read(given, names)
-        return exactly(given) if isinstance(given, int | float) else given
-    except InputError as error:
-        raise InputError(f"{key}: {error}") from None
-    except OverflowError:
-        raise InputError(f"{key}: is an integer too large for a float") from None
+        try:
+            return exactly(given) if isinstance(given, int | float) else given
+        except OverflowError:
+            raise InputError("is an integer too large for a float") from None
 
 
 def number_of(name: str, given: Any) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Indices
-from signorini_fenicsx.base.errors import InputError, check_kind
+from signorini_fenicsx.base.errors import InputError, check_kind, telling
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.domain import Domain, other_side
@@ -143,12 +143,10 @@ class Bodies:
         """
         of_bodies = {}
         for name, body in self.bodies.items():
-            try:
+            with telling(f"[geometry] bodies.{name}"):
                 usual = body.usual()
                 size = body.h if h is None else h if usual is None else usual * h / self._largest()
                 of_bodies[name] = found(body, size)
-            except InputError as error:
-                raise InputError(f"[geometry] bodies.{name}: {error}") from None
         return of_bodies
 
     def _largest(self) -> float:

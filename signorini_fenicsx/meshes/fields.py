@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, telling
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import fetch_rows
@@ -42,10 +42,8 @@ def read_field(comm: MPI.Comm, path: str, name: str | None, *, vector: bool) -> 
         if Path(path).suffix.lower() in OF_GMSH:
             raise InputError(f"field {path}: no values are read from {Path(path).suffix} files; take .vtu or .xdmf")
         mesh = read_mesh_file(path)
-        try:
+        with telling(f"field {path}"):
             read.append((mesh, _chosen(mesh, name, mesh.dim if vector else 1)))
-        except InputError as error:
-            raise InputError(f"field {path}: {error}") from None
 
     on_root(comm, values)
     whole, table = read[0] if read else (None, None)

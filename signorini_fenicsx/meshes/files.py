@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from signorini_fenicsx.base import confined
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, reading
 from signorini_fenicsx.meshes.checks import FileMesh, checked
 from signorini_fenicsx.meshes.contents import DRAWINGS, Contents
 from signorini_fenicsx.meshes.file_worker import unpack
@@ -59,9 +59,9 @@ def read_file[T](
         InputError: If the file cannot be read, or `use` raises it.
     """
     place = Path(path)
-    if not place.is_file():
-        raise InputError(f"{what} {path}: {'is a folder, not a file' if place.is_dir() else 'no such file'}")
-    try:
+    with reading(f"{what} {path}"):
+        if not place.is_file():
+            raise InputError("is a folder, not a file" if place.is_dir() else "no such file")
         if place.stat().st_size == 0:
             raise InputError("the file is empty")
         with tempfile.TemporaryFile() as result:
@@ -70,7 +70,3 @@ def read_file[T](
             result.seek(0)
             contents = unpack(result)
         return use(contents)
-    except InputError as error:
-        raise InputError(f"{what} {path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{what} {path}: {error.strerror or error}") from None

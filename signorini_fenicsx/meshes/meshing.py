@@ -17,7 +17,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, telling
 from signorini_fenicsx.base.local_options import unseen
 from signorini_fenicsx.base.parallel import on_root, on_root_only
 from signorini_fenicsx.base.signals import listen_again
@@ -313,11 +313,9 @@ def usable(
     Raises:
         InputError: If its parts do not define a problem.
     """
-    try:
+    with telling(source.words):
         mesh = opened(mesh, inner, sides) if (inner := conditions.get("inner", ())) else mesh
         check_boundary(mesh, conditions)
-    except InputError as error:
-        raise InputError(f"{source.words}: {error}") from None
     return mesh
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, telling
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 
 type Rule = str | tuple[str, ...]
@@ -36,10 +36,8 @@ def named(mesh: FileMesh, rules: Mapping[str, Rule], path: str) -> FileMesh:
     Raises:
         InputError: If a rule finds no facet of the boundary, or its name is that of another part.
     """
-    try:
+    with telling(f"mesh {path}: [geometry] faces"):
         return replace(mesh, parts={**mesh.parts, **{name: _found(mesh, name, rule) for name, rule in rules.items()}})
-    except InputError as error:
-        raise InputError(f"mesh {path}: [geometry] faces: {error}") from None
 
 
 def _found(mesh: FileMesh, name: str, rule: Rule) -> Indices:

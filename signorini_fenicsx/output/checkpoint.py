@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.array_files import write_arrays
 from signorini_fenicsx.base.arrays import Indices
-from signorini_fenicsx.base.errors import InputError, check_kind
+from signorini_fenicsx.base.errors import InputError, check_kind, telling
 from signorini_fenicsx.base.exchange import delete, refuse_incomplete
 from signorini_fenicsx.base.owned import cell_nodes, cells_behind, original_cells
 from signorini_fenicsx.base.parallel import collector_off, on_root
@@ -238,10 +238,8 @@ def load_solution(
         raise InputError(f"problem: {folder} is the solution of a problem of {name}, not of {type(problem).__name__}")
     posed = replace(posed, boundary=boundary) if posed else _read_problem(checkpoint)
     options = options or _read_options(checkpoint)
-    try:
+    with telling(f"{checkpoint.path}: is damaged: its mesh"):
         system = system_on(_read_domain(checkpoint, comm, boundary.named), posed)
-    except InputError as error:
-        raise InputError(f"{checkpoint.path}: is damaged: its mesh: {error}") from None
     rows = _rows_of_facets(checkpoint, system.spaces)
     solution = checkpoint.keeping.read(posed, system.spaces, _stored(checkpoint, posed, options, rows))
     damage = _damage_of(checkpoint.about, solution)

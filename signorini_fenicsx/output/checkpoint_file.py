@@ -14,7 +14,7 @@ from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
 from signorini_fenicsx.base.array_files import UNREADABLE, Header, read_header, read_share
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, reading, telling
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.cases.case import CaseFile
@@ -219,10 +219,8 @@ def read_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint:
         files = {name: (checkpoint.path / f"{name}.npy", header) for name, header in checkpoint.headers.items()}
         checkpoint = replace(checkpoint, arrays={name: read_share(comm, *file) for name, file in files.items()})
         refuse(comm, _wrong_value(checkpoint))
-        try:
+        with telling("is damaged: its mesh"):
             check_cells(comm, checkpoint.arrays["points"], checkpoint.arrays["cells"])
-        except InputError as error:
-            raise InputError(f"is damaged: its mesh: {error}") from None
     return checkpoint
 
 
@@ -233,13 +231,11 @@ def place_of(folder: Path) -> Path:
         InputError: If there is none.
         OSError: If the folder cannot be read.
     """
-    try:
+    with reading(folder):
         for name in (FOLDER, f"{FOLDER}.part"):  # a run killed at the right moment has left the latter, complete
             if (folder / name / TEXT).is_file():
                 return folder / name
         old = (folder / OLD_FILE).is_file()
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror or error}") from None
     why = "so there is no solution to read"
     if old:
         why = f"but {OLD_FILE} of version 0.3 or older, which version 0.4 reads"
@@ -253,16 +249,13 @@ def place_of(folder: Path) -> Path:
 @contextlib.contextmanager
 def _told(path: Path) -> Iterator[None]:
     """Turn all errors of reading into one sentence with the path."""
-    try:
-        yield
-    except ValidationError as error:
-        raise InputError(f"{path}: not a readable solution ({complaint(error, About)})") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    except UNREADABLE as error:
-        raise InputError(f"{path}: not a readable solution ({error})") from None
+    with reading(path):
+        try:
+            yield
+        except ValidationError as error:
+            raise InputError(f"not a readable solution ({complaint(error, About)})") from None
+        except UNREADABLE as error:
+            raise InputError(f"not a readable solution ({error})") from None
 
 
 def _case(about: About) -> CaseFile | None:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, reading, telling
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.base.version import __version__
 from signorini_fenicsx.cases.case import CaseFile, Solve, load_case
@@ -122,17 +122,16 @@ def load_study(name_or_path: str | Path) -> tuple[Study, list[Run]]:
     """
     path = file_of("study", name_or_path)
     tree = read_toml(path)
-    if "name" in tree:
-        raise InputError(f"{path}: unknown key 'name'; the name of a study is that of its file")
-    try:
-        study = Study.model_validate(tree | {"name": path.stem})
-        return study, expanded(study, path.parent)
-    except ValidationError as error:
-        raise InputError(f"{path}: {complaint(error, Study)}") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: nested too deeply") from None
+    with telling(path):
+        if "name" in tree:
+            raise InputError("unknown key 'name'; the name of a study is that of its file")
+        try:
+            study = Study.model_validate(tree | {"name": path.stem})
+            return study, expanded(study, path.parent)
+        except ValidationError as error:
+            raise InputError(complaint(error, Study)) from None
+        except RecursionError:
+            raise InputError("nested too deeply") from None
 
 
 def expanded(study: Study, folder: Path) -> list[Run]:
@@ -212,10 +211,8 @@ def _file_digest(path: str) -> str:
     Raises:
         InputError: If the file cannot be read.
     """
-    try:
+    with reading(f"mesh {path}"):
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"mesh {path}: {error.strerror}") from None
 
 
 def make_run(case: CaseFile, task: Convergence | None = None, *, fields: bool = False, plot: bool = False) -> Run:
