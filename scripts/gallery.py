@@ -61,19 +61,19 @@ def draw(name: str) -> None:
             over_time = [Path(folder) / "x" / f"{kind}.png" for kind in kinds]
             at_end = name not in AS_SHIPPED and getattr(case, "soil", None)
             if at_end or not any(each.exists() for each in over_time):  # or in space
-                write_solution(load_solution(Path(folder) / "x"), folder, plot=True, fields=False)
+                write_solution(load_solution(Path(folder) / "x"), Path(folder) / "end", plot=True, fields=False)
                 over_time = []
         else:
             over_time, solution = [], solve_case(case)
             sys.stdout.write(f"{name}: {solution.contact.facets} in contact\n")
             certificate = certify(solution) if name in WITH_OVERVIEW else None
-            write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
-        pictures = [*over_time, *(Path(folder) / f"{name}.png" for name in FIRST)]
+            write_solution(solution, Path(folder) / "end", certificate=certificate, plot=True, fields=False)
+        pictures = [*over_time, *(Path(folder) / "end" / f"{name}.png" for name in FIRST)]
         drawn = Image.open(next(each for each in pictures if each.exists()))
         width = max(WIDTH, round(SHARE * drawn.width))
         save(drawn, GALLERY / f"{name}.png", min(width, round(HIGHEST * drawn.width / drawn.height)))
         if name in WITH_OVERVIEW:
-            save(Image.open(Path(folder) / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
+            save(Image.open(Path(folder) / "end" / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
 
 
 def save(picture: Image.Image, path: Path, width: int) -> None:

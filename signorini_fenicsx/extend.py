@@ -21,8 +21,8 @@ solves one linear problem under given conditions on its sites. With `FacetBacken
 `solve`. Your own method is a `Method`, whose `run` gets a `Task` and returns an `Outcome`. All of them are options:
 `Options(algorithm=…, backend=…)`.
 
-`Instant` is what `evolve` yields, and `write_solution` writes a solution file by file; a program that only solves needs
-neither name. `LaterFailure` is the `NumericalFailure` of a run whose solution is kept.
+`Instant` is what `evolve` yields, and `write_solution` writes a solution with what else is known of it; a program that
+only solves needs neither name. `LaterFailure` is the `NumericalFailure` of a run whose solution is kept.
 """
 
 from signorini_fenicsx.base.errors import LaterFailure

@@ -84,9 +84,9 @@ class StokesPhysics(Physics):
 
 
 def _write(*given: Any, **wanted: Any) -> None:
-    from signorini_fenicsx.output.writing import publish_solution
+    from signorini_fenicsx.output.writing import write_solution
 
-    publish_solution(*given, **wanted)
+    write_solution(*given, **wanted)
 
 
 def _plot(*given: Any) -> Any:

@@ -20,7 +20,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.array_files import write_arrays
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError, check_kind, telling
-from signorini_fenicsx.base.exchange import delete, refuse_incomplete
+from signorini_fenicsx.base.exchange import refuse_incomplete
 from signorini_fenicsx.base.owned import cell_nodes, cells_behind, original_cells
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.base.progress import doing
@@ -64,45 +64,16 @@ COSTS = ("timings", "peak_memory")
 
 
 def write_checkpoint(folder: Path, solution: Solved) -> None:
-    """Write a checkpoint into an existing folder (collective).
-
-    If the program is killed at any moment, the folder holds the checkpoint from before, or the new one.
-
-    Args:
-        folder: The folder; an earlier checkpoint in it is replaced.
-        solution: The solution.
+    """Write a checkpoint into a folder that has none (collective).
 
     Raises:
-        OSError: On all ranks, if the disk is full, or a rank cannot write.
+        OSError: On all ranks, if the disk is full.
     """
     comm: MPI.Comm = solution.spaces.mesh.comm
-    part = folder / f"{FOLDER}.part"
-
-    def begin() -> None:
-        _finish(folder)
-        if part.exists():
-            delete(part)
-        part.mkdir()
-
-    def end() -> None:
-        text = part / f"{TEXT}.part"
-        text.write_text(json.dumps(_about(solution)), encoding="utf-8")
-        text.rename(part / TEXT)
-        _finish(folder)
-
-    on_root(comm, begin)
-    write_arrays(comm, part, _arrays(solution))
-    on_root(comm, end)
-
-
-def _finish(folder: Path) -> None:
-    """Give a complete new checkpoint its name, in the place of the one before (rank 0)."""
-    part, place = folder / f"{FOLDER}.part", folder / FOLDER
-    if (part / TEXT).exists():
-        if place.exists():
-            (place / TEXT).unlink(missing_ok=True)  # from here on the new one counts
-            delete(place)
-        part.rename(place)
+    place = folder / FOLDER
+    on_root(comm, place.mkdir)
+    write_arrays(comm, place, _arrays(solution))
+    on_root(comm, lambda: (place / TEXT).write_text(json.dumps(_about(solution)), encoding="utf-8"))
 
 
 def _about(solution: Solved) -> dict[str, Any]:

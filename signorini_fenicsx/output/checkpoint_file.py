@@ -27,7 +27,7 @@ from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout
 from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 
 FOLDER, TEXT = "checkpoint", "about.json"
-"""The folder of a checkpoint in a results folder; its file that is written last, when all arrays are there."""
+"""The folder of a checkpoint in a results folder; the file of what is no array."""
 
 FORMAT = 3
 """Format that is read and written: a folder with TEXT and `<name>.npy` for each array."""
@@ -232,9 +232,8 @@ def place_of(folder: Path) -> Path:
         OSError: If the folder cannot be read.
     """
     with reading(folder):
-        for name in (FOLDER, f"{FOLDER}.part"):  # a run killed at the right moment has left the latter, complete
-            if (folder / name / TEXT).is_file():
-                return folder / name
+        if (folder / FOLDER / TEXT).is_file():
+            return folder / FOLDER
         old = (folder / OLD_FILE).is_file()
     why = "so there is no solution to read"
     if old:

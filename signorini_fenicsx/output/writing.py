@@ -12,7 +12,7 @@ from typing import Any, Self
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError, check_kind
+from signorini_fenicsx.base.errors import check_kind
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
@@ -75,9 +75,9 @@ class SolutionFiles:
     least on this rank.
     """
 
-    def __init__(self, solution: Solved, found: Found | None = None):
+    def __init__(self, solution: Solved):
         """Keep what is to be written; nothing on disk changes."""
-        self._solution, self._comm, self.found = solution, solution.spaces.mesh.comm, found or Found()
+        self._solution, self._comm, self.found = solution, solution.spaces.mesh.comm, Found()
         self._watch = Stopwatch()
 
     def publish(
@@ -189,16 +189,6 @@ class SolutionFiles:
 
 
 @collector_off()
-def publish_solution(
-    solution: Solved, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
-) -> None:
-    """Write the files of a solution into a results folder, see `Solution.write` (collective)."""
-    with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
-        files = SolutionFiles(solution).publish(place)
-        files.publish_others(place, Found(certificate=certificate), plot=plot, html=html)
-
-
-@collector_off()
 def write_solution(
     solution: Solved,
     folder: Path | str,
@@ -211,13 +201,11 @@ def write_solution(
     html: bool = False,
     fields: bool = True,
 ) -> None:
-    """Write all files of a solution into a folder, one after the other, the solution itself first (collective).
-
-    `Solution.write` writes them so that nothing of an earlier result is left.
+    """Write the files of a solution into a results folder, see `ResultsFolder` (collective).
 
     Args:
         solution: The solution.
-        folder: The folder; it is made if it does not exist, and files with the same names are overwritten.
+        folder: The folder; it is made if it does not exist, and an earlier result in it is replaced.
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         quantities: Intervals of quantities by their names, or None.
@@ -227,18 +215,15 @@ def write_solution(
         fields: Also write the fields for ParaView.
 
     Raises:
-        InputError: If the folder cannot be made.
+        InputError: If this cannot be a results folder.
         OSError: On all ranks, if the disk is full.
-        WriteFailure: If a library cannot write, at least on this rank.
+        LaterFailure: If the solution is written, but not all files that come after it.
     """
     check_kind("solution", solution, Solved)
     check_kind("folder", folder, str, Path)
     found = Found(certificate=certificate, proof=proof, quantities=quantities, of_field=of_field)
-    place, files = Path(folder), SolutionFiles(solution, found)
-    on_root(solution.spaces.mesh.comm, lambda: _make(place))
-    chosen = [files.pictures] * plot + [files.page] * html + [files.fields] * fields
-    for write in (files.checkpoint, files.tables, files.summary, *chosen, files.summary):
-        write(place)
+    with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
+        SolutionFiles(solution).publish(place).publish_others(place, found, plot=plot, html=html, fields=fields)
 
 
 def with_quantities(summary: dict[str, Any], quantities: Mapping[str, Quantity]) -> dict[str, Any]:
@@ -247,18 +232,6 @@ def with_quantities(summary: dict[str, Any], quantities: Mapping[str, Quantity])
         return summary
     summaries = {name: each.summary() for name, each in quantities.items()}
     return summary | {"quantities": summary.get("quantities", {}) | summaries}
-
-
-def _make(folder: Path) -> None:
-    """Make a folder, if there is none (rank 0).
-
-    Raises:
-        InputError: If there cannot be one.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"folder {folder}: cannot be made: {error.strerror}") from None
 
 
 def write_sites(folder: Path, solution: Solved) -> None:

@@ -14,8 +14,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.output import checkpoint
-from signorini_fenicsx.output.checkpoint import load_solution, write_checkpoint
+from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.pictures import sample
@@ -80,7 +79,7 @@ def is_read(folder: Path, solution: Solution) -> None:
 @pytest.mark.parallel(2)
 def test_a_full_disk_leaves_the_old_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch):
     old, new = checkpoints()
-    write_checkpoint(folder, old)
+    write_solution(old, folder, fields=False)
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -88,28 +87,7 @@ def test_a_full_disk_leaves_the_old_checkpoint(folder: Path, monkeypatch: pytest
     with monkeypatch.context() as disk:
         disk.setattr(os, "posix_fallocate", full)
         with pytest.raises(OSError, match="No space left"):
-            write_checkpoint(folder, new)
+            write_solution(new, folder, fields=False)
     is_read(folder, old)
-    write_checkpoint(folder, new)
+    write_solution(new, folder, fields=False)
     is_read(folder, new)
-
-
-@pytest.mark.parametrize(("step", "new_counts"), [("write_arrays", False), ("_about", False), ("delete", True)])
-def test_a_kill_leaves_the_old_or_the_new_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, new_counts: bool
-):
-    """Before the arrays, between arrays and text, and while the old one is removed; then the next one is written."""
-    old, new = checkpoints()
-    write_checkpoint(tmp_path, old)
-
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as during:
-        during.setattr(checkpoint, step, killed)
-        with pytest.raises(KeyboardInterrupt):
-            write_checkpoint(tmp_path, new)
-    is_read(tmp_path, new if new_counts else old)
-    write_checkpoint(tmp_path, old)
-    is_read(tmp_path, old)
-    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"]
