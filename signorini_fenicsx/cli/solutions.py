@@ -175,7 +175,7 @@ def adapt(
     """
     from signorini_fenicsx.cases.solving import adapt_case, check_named
     from signorini_fenicsx.cli.adapt_report import AdaptReport
-    from signorini_fenicsx.output.writing import Found, SolutionFiles, draw_adapt, write_adapt
+    from signorini_fenicsx.output.writing import Found, SolutionFiles, write_adapt
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
     wanted, part, narrow, most = _checked(target, max_cells, theta, quantity, width)
@@ -198,7 +198,7 @@ def adapt(
             folder.attempt("uniform refinement", lambda: refined(theta=1.0))
             folder.attempt("adapt.csv", partial(table, folder.path))
         files.publish_others(folder, Found(certificate=certificate, quantities=quantities), plot=plot, html=html)
-        folder.attempt("pictures of the refinement", partial(draw_adapt, solution, report.rows, folder.path))
+        folder.attempt("pictures of the refinement", partial(files.refinement, report.rows, folder.path))
         if missed:
             raise NumericalFailure(f"{missed}, with the largest mesh of at most {most} cells; {folder.last_state()}")
         if later is not None:

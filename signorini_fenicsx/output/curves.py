@@ -1,5 +1,6 @@
 """Curves over mesh sizes, ε and unknowns."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -50,7 +51,7 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
 
 
 @mpl.rc_context(style.STYLE)
-def draw_bounds(path: Path, rows: list[AdaptRow], best: float, title: str) -> None:
+def draw_bounds(path: Path, rows: Sequence[AdaptRow], best: float, title: str) -> None:
     """Draw the error bound over the unknowns, with a line of the best possible slope (rank 0)."""
     sheet = Sheet([4.8], [3.6], bars=False)
     axes = sheet.panel(0, 0)

@@ -11,12 +11,12 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import write_rows
-from signorini_fenicsx.cases.units import TABLES, summary_of, units_of, with_units
+from signorini_fenicsx.cases.units import summary_of, units_of
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
-from signorini_fenicsx.output.outlines import is_outline, write_outlines
+from signorini_fenicsx.output.outlines import write_readings
 from signorini_fenicsx.output.steps import OPPOSITE, Row, StepFolder
 from signorini_fenicsx.output.tables import write_columns
 from signorini_fenicsx.output.writing import with_quantities, write_summary
@@ -84,12 +84,7 @@ def write_evolution(
         OSError: On all ranks, if the disk is full.
     """
     solution, rows = last.solution, steps.rows()
-    comm, kind, readings, opposite = (
-        solution.spaces.mesh.comm,
-        type(solution.table()),
-        solution.readings,
-        solution.opposite,
-    )
+    comm, kind, opposite = solution.spaces.mesh.comm, type(solution.table()), solution.opposite
     many = len(rows) * solution.spaces.Lambda.dofmap.index_map.size_global > solution.options.tuning.one_table_up_to
     times = [row["t"] for row in rows]
 
@@ -101,12 +96,8 @@ def write_evolution(
             of = type(opposite.table)
             _write_sites(results.path / of.name, rows, lambda step: columns(steps.table(step, of, OPPOSITE)), many=many)
         units = units_of(solution)
-        for name, table in readings.items():
-            of_table = units if name in TABLES else {}
-            found = (with_units(steps.readings(row, name), of_table) for row in rows)
-            write_columns(results.path / f"{name}.csv", found)
-            if is_outline(table):
-                write_outlines(results.path / f"{name}.xdmf", ((row["t"], steps.readings(row, name)) for row in rows))
+        for name in solution.readings:
+            write_readings(results.path, name, [(row["t"], steps.readings(row, name)) for row in rows], units)
 
     def write() -> None:
         fields = solution.fields()

@@ -1,25 +1,35 @@
-"""Lines of the plane and surfaces in space that were read off of a solution, as XDMF for ParaView: text alone."""
+"""Tables of what was read off of a solution; lines of the plane and surfaces in space as XDMF, too: text alone."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.cases.units import TABLES, with_units
 from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.output.tables import write_columns
 from signorini_fenicsx.solving.solved import Columns
 
 KINDS = {"line": ("Polyline", 2), "triangle": ("Triangle", 3)}
 """The first column of a table of points, how XDMF calls the pieces, and how many points one has."""
 
 
-def is_outline(table: Columns) -> bool:
-    """Whether a table has the points of lines or of triangles."""
-    return bool(table.keys() & KINDS.keys())
+def write_readings(
+    folder: Path, name: str, times: Sequence[tuple[float | None, Columns]], units: Mapping[str, str]
+) -> None:
+    """Write a table at each time below each other, those of probes and sections with units (rank 0).
+
+    One that has the points of lines or of triangles is written as XDMF, too.
+    """
+    tables = [table for _, table in times]
+    write_columns(folder / f"{name}.csv", [with_units(each, units) for each in tables] if name in TABLES else tables)
+    if tables[0].keys() & KINDS.keys():
+        _write_outlines(folder / f"{name}.xdmf", times)
 
 
-def write_outlines(path: Path, times: Iterable[tuple[float | None, Columns]]) -> None:
+def _write_outlines(path: Path, times: Sequence[tuple[float | None, Columns]]) -> None:
     """Write the lines or triangles at each time that has some, if one has; without a time there is one (rank 0)."""
     root = ElementTree.Element("Xdmf", Version="3.0")
     domain = ElementTree.SubElement(root, "Domain")

@@ -2,14 +2,13 @@
 
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
-from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import check_kind
@@ -20,7 +19,7 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.units import TABLES, summary_of, units_of, with_units
+from signorini_fenicsx.cases.units import summary_of, units_of
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import FieldBound
@@ -30,7 +29,7 @@ from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.latex import write_latex
-from signorini_fenicsx.output.outlines import is_outline, write_outlines
+from signorini_fenicsx.output.outlines import write_readings
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
@@ -128,10 +127,7 @@ class SolutionFiles:
         with self._watch.phase("output"):
             write_sites(folder, self._solution)
             for name, columns in (self._solution.other_tables() | self._solution.readings).items():
-                written = with_units(columns, self._units) if name in TABLES else columns
-                on_root(self._comm, partial(write_columns, folder / f"{name}.csv", [written]))
-                if is_outline(columns):
-                    on_root(self._comm, partial(write_outlines, folder / f"{name}.xdmf", [(None, columns)]))
+                on_root(self._comm, partial(write_readings, folder, name, [(None, columns)], self._units))
             history = self._solution.outcome.history
             on_root(self._comm, lambda: write_table(folder / "history.csv", Step, history))
 
@@ -145,9 +141,8 @@ class SolutionFiles:
     def pictures(self, folder: Path) -> None:
         """Draw PNGs."""
         self._draw(lambda drawing, scene: drawing.draw_all(folder, scene))
-        if (of_field := self.found.of_field) is not None:
-            path = folder / "field.png"
-            _draw(of_field.solution, lambda drawing, scene: drawing.draw_field(path, scene), of_field.indicator)
+        if self.found.of_field is not None:
+            self._draw(lambda drawing, scene: drawing.draw_field(folder / "field.png", scene), self.found.of_field)
 
     def page(self, folder: Path) -> None:
         """Write `solution.html`."""
@@ -162,12 +157,24 @@ class SolutionFiles:
             of_files[IN_CELLS] = [*of_files[IN_CELLS], *indicators]
             write_fields(folder, self._solution.spaces, [(None, of_files)], 1)
 
-    def _draw(self, drawn: Callable[[Any, Any], None]) -> None:
-        """Draw the scene of the solution on rank 0."""
+    def refinement(self, rows: Sequence[AdaptRow], folder: Path) -> None:
+        """Draw `adapt.png` and `mesh.png` of an adaptive run with rows that ended with the solution."""
+        from signorini_fenicsx.output.curves import draw_bounds  # takes a second to import
+
+        def drawn(drawing: Any, scene: Any) -> None:
+            draw_bounds(folder / "adapt.png", rows, self._solution.best_rate, self._solution.name)
+            drawing.draw_mesh(folder / "mesh.png", scene)
+
+        if rows:
+            self._draw(drawn)
+
+    def _draw(self, drawn: Callable[[Any, Any], None], of_field: FieldBound | None = None) -> None:
+        """Draw the scene of the solution, or of how wrong a function is, on rank 0."""
         from signorini_fenicsx.pictures import drawing  # takes a second to import
+        from signorini_fenicsx.pictures.scene import gathered_scene
 
         with self._watch.phase("output"), doing("drawing"):
-            scene = self._scene
+            scene = self._scene if of_field is None else gathered_scene(of_field.solution, indicator=of_field.indicator)
             on_root(self._comm, lambda: None if scene is None else drawn(drawing, scene))
 
     @cached_property
@@ -249,15 +256,6 @@ def write_sites(folder: Path, solution: Solved) -> None:
     on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", [solution.columns(whole)]))
 
 
-def _draw(solution: Solved, draw: Callable[[Any, Any], None], indicator: fem.Function | None = None) -> None:
-    """Draw the scene of a solution, perhaps with what is wrong in each cell, on rank 0 (collective)."""
-    from signorini_fenicsx.pictures import drawing  # takes a second to import
-    from signorini_fenicsx.pictures.scene import gathered_scene
-
-    scene = gathered_scene(solution, indicator=indicator)
-    on_root(solution.spaces.mesh.comm, lambda: None if scene is None else draw(drawing, scene))
-
-
 def publish_convergence(
     case: CaseFile, vary: Vary, reference: int, rows: list[ErrorRow], results: ResultsFolder, comm: MPI.Comm
 ) -> None:
@@ -297,19 +295,6 @@ def write_adapt(rows: list[AdaptRow], comm: MPI.Comm, folder: Path) -> None:
     if rows:
         tables = [row.columns() for row in rows]
         on_root(comm, lambda: write_rows(folder / "adapt.csv", tables[0], tables))
-
-
-def draw_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
-    """Draw `adapt.png` and `mesh.png` of an adaptive run with rows that ended with this solution (collective)."""
-    if not rows:
-        return
-    from signorini_fenicsx.output.curves import draw_bounds  # takes a second to import
-
-    def draw(drawing: Any, scene: Any) -> None:
-        draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
-        drawing.draw_mesh(folder / "mesh.png", scene)
-
-    _draw(solution, draw)
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
