@@ -162,7 +162,7 @@ class Area:
 
     def close(self) -> None:
         """Remove everything in the folder that is not complete, and release the lock."""
-        with self._opened:
+        with contextlib.suppress(OSError), self._opened:  # the folder may be gone
             self.tidy()
             if os.listdir(self._at) == [LOCK]:
                 os.unlink(LOCK, dir_fd=self._at)

@@ -42,14 +42,15 @@ class ResultsFolder:
                 writing into it.
         """
         self.comm = comm
-        self._work: _Work | None = None  # on rank 0
+        self._area: Area | None = None  # on rank 0
+        self._opened = contextlib.ExitStack()
         self._ended: str | None = None
         self._cause: Exception | None = None
         self.failures: dict[str, str] = {}
 
         def begin() -> tuple[Path, Path]:
-            self._work = _Work(Path(target))
-            return self._work.area.target, self._work.area.staging()
+            self._area = _locked(Path(target), self._opened)
+            return self._area.target, self._area.staging()
 
         self.target, self.path = on_root(comm, begin)
         self._on_abort = on_abort(lambda: self._give_up("a library has aborted the program"))
@@ -64,11 +65,10 @@ class ResultsFolder:
         if self._ended == DONE and (error is None or isinstance(error, Exception)):
             self._note("", error)
         self._on_abort.__exit__(None, None, None)
-        if self._work is not None:
-            if isinstance(error, OSError) and Path(error.filename or self.path).is_relative_to(self.path):
-                error.strerror = error.strerror or str(error)
-                error.filename = str(self.target)  # the user does not know the staging area
-            self._work.close()
+        if isinstance(error, OSError) and Path(error.filename or self.path).is_relative_to(self.path):
+            error.strerror = error.strerror or str(error)
+            error.filename = str(self.target)  # the user does not know the staging area
+        self._opened.close()
         if self._ended == DONE and self.failures:
             raise LaterFailure(f"{self.told()}; the solution is in {self.target}") from self._cause
 
@@ -105,7 +105,7 @@ class ResultsFolder:
         Returns:
             Its result; None on all ranks if it fails on one.
         """
-        result, error, before = None, None, set(os.listdir(self.path)) if self._work is not None else set()
+        result, error, before = None, None, set(os.listdir(self.path)) if self._area is not None else set()
         try:
             result = action()
         except Exception as failure:
@@ -117,7 +117,7 @@ class ResultsFolder:
                 return result
             except Exception as failure:  # on all ranks
                 self._note(what, failure)
-        for name in (set(os.listdir(self.path)) if self._work is not None else set()) - before:
+        for name in (set(os.listdir(self.path)) if self._area is not None else set()) - before:
             delete(self.path / name)
         return None
 
@@ -152,11 +152,11 @@ class ResultsFolder:
 
     def _commit(self, end: str, *, add: bool) -> Path:
         """Move the files, if there are some; return the next staging area (rank 0)."""
-        assert self._work is not None
+        assert self._area is not None
         if add and not os.listdir(self.path):
             return self.path
-        self._work.area.commit(end, add=add)
-        return self._work.area.staging()
+        self._area.commit(end, add=add)
+        return self._area.staging()
 
     def _has_only_state(self) -> bool:
         """Remove all files but a checkpoint, if there is one (rank 0)."""
@@ -171,61 +171,49 @@ class ResultsFolder:
         reason = "; ".join([*self.failures.values(), reason])
         with contextlib.suppress(OSError):
             reason += f"; free on the disk: {shutil.disk_usage(self.target.parent).free >> 10} kB"
-        if self._work is not None:
-            self._work.close()
+        self._opened.close()
         sys.stdout.flush()
         if self._ended == DONE:
             end_all(self.comm, f"failed: {reason}; the solution is in {self.target}\n", EXIT_LATER)
         end_all(self.comm, f"failed: {self.target}: {reason}\n", EXIT_FAILED)
 
 
-class _Work:
-    """The work on one results folder, on rank 0.
+def _locked(wanted: Path, opened: contextlib.ExitStack) -> Area:
+    """Lock the area of a target, and complete what a killed run has left there (rank 0).
 
-    Attributes:
-        area: The locked folder in which the run works until its results are in place.
+    Args:
+        wanted: The target.
+        opened: Removes, when it is closed, what is not complete and empty parents that were made, and frees the lock.
+
+    Raises:
+        InputError: If the target cannot be a results folder, or another run is writing into it.
     """
+    try:
+        with contextlib.ExitStack() as begun:
+            area = _opened(Path(os.path.realpath(wanted)), begun)  # unlike resolve, the same for loops in all versions
+            opened.push(begun.pop_all())
+            return area
+    except BlockingIOError:
+        raise InputError(f"output {wanted}: another run is writing into it; wait for it, or choose another") from None
+    except OSError as error:
+        raise InputError(f"output {wanted}: cannot be written ({error.strerror})") from None
+    except ValueError as error:  # a null byte
+        raise InputError(f"output {wanted!r}: {error}") from None
 
-    def __init__(self, wanted: Path):
-        """Lock the area of a target, and complete what a killed run has left there.
 
-        Raises:
-            InputError: If the target cannot be a results folder, or another run is writing into it.
-        """
-        with contextlib.ExitStack() as opened:
-            try:
-                self._open(wanted, opened)
-            except BlockingIOError:
-                raise InputError(
-                    f"output {wanted}: another run is writing into it; wait for it, or choose another"
-                ) from None
-            except OSError as error:
-                raise InputError(f"output {wanted}: cannot be written ({error.strerror})") from None
-            except ValueError as error:  # a null byte
-                raise InputError(f"output {wanted!r}: {error}") from None
-            self._opened = opened.pop_all()
-
-    def _open(self, wanted: Path, opened: contextlib.ExitStack) -> None:
-        target = Path(os.path.realpath(wanted))  # unlike resolve, the same for loops in all versions
-        if target.is_symlink():  # all others are resolved
-            raise InputError(f"output {target}: is a symlink loop")
-        if os.path.ismount(target):
-            raise InputError(f"output {target}: is a mount point, so files cannot be moved to it; take one below")
-        for parent in reversed([folder for folder in target.parents if not folder.exists()]):
-            opened.callback(_remove_if_empty, parent)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        self.area = Area(target)
-        opened.callback(self._release)
-        self.area.settle()
-        self.area.tidy()
-
-    def _release(self) -> None:
-        with contextlib.suppress(OSError):  # the folder is gone
-            self.area.close()
-
-    def close(self) -> None:
-        """Remove what is not complete and empty parents that were made for it, and release the lock."""
-        self._opened.close()
+def _opened(target: Path, begun: contextlib.ExitStack) -> Area:
+    if target.is_symlink():  # all others are resolved
+        raise InputError(f"output {target}: is a symlink loop")
+    if os.path.ismount(target):
+        raise InputError(f"output {target}: is a mount point, so files cannot be moved to it; take one below")
+    for parent in reversed([folder for folder in target.parents if not folder.exists()]):
+        begun.callback(_remove_if_empty, parent)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    area = Area(target)
+    begun.callback(area.close)
+    area.settle()
+    area.tidy()
+    return area
 
 
 def _remove_if_empty(folder: Path) -> None:
