@@ -32,9 +32,9 @@ def write_rows(path: Path, header: Iterable[str], rows: Iterable[Mapping[str, An
         writer.writerows(rows)
 
 
-def place_in_words(x: Iterable[float]) -> str:
+def place_in_words(x: Iterable[float], digits: int = 4) -> str:
     """The coordinates of a point in words."""
-    return "(" + ", ".join(f"{entry:.4g}" for entry in x) + ")"
+    return "(" + ", ".join(f"{entry:.{digits}g}" for entry in x) + ")"
 
 
 def did_you_mean(wrong: str, names: Iterable[str]) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from signorini_fenicsx.base.text import counted, place_in_words
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.inspection import Checked, Expected, is_typical
 from signorini_fenicsx.cli.report import Report
@@ -21,8 +22,7 @@ class CaseReport(Report):
     def heading(self, about: CaseFile | Solved, comm: MPI.Comm) -> None:
         """Print which problem is or was solved, and how."""
         self.title(about.title or about.name)
-        ranks = f"{comm.size} rank" + "s" * (comm.size > 1)
-        self.line(f"{about.approach}, {ranks}")
+        self.line(f"{about.approach}, {counted(comm.size, 'rank')}")
 
     def expected(self, case: CaseFile, estimate: Expected) -> None:
         """Print the sizes of a case and the expected cost of a run."""
@@ -64,7 +64,7 @@ class CaseReport(Report):
         for name, part in parts.items():
             size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
             if NUMBERED.fullmatch(name) and part.get("center"):  # which one it is
-                size += f", center ({', '.join(f'{x:.4g}' for x in part['center'])})"
+                size += f", center {place_in_words(part['center'])}"
             self.entry("part", f"{name}: {part['condition']}{size}")
 
     def _left(self, case: CaseFile, left: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
-from signorini_fenicsx.base.text import printable_lines
+from signorini_fenicsx.base.text import counted, printable_lines
 from signorini_fenicsx.cli.common import results_place
 from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.studies.folder import Record, Status, StudyFolder
@@ -35,7 +35,7 @@ class StudyReport(Report):
         size = min(study.ranks_per_run, comm.size)
         groups, idle = divmod(comm.size, size)
         self.title(study.title or study.name)
-        shape = f"{groups} group{'s' * (groups > 1)} of {size} rank{'s' * (size > 1)}"
+        shape = f"{counted(groups, 'group')} of {counted(size, 'rank')}"
         remark = f", {idle} idle" if idle else ""
         if size < study.ranks_per_run:
             remark += f" (ranks_per_run = {study.ranks_per_run} wants more)"

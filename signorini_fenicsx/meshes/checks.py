@@ -12,6 +12,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import joined, rows_of
+from signorini_fenicsx.base.text import counted, place_in_words
 from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths, straightened
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.other_cells import in_simplices
@@ -116,9 +117,9 @@ def _joined(rows: Sequence[Indices], width: int | None = None) -> Indices:
 
 def _refusal(kind: str, count: int) -> str:
     if kind.startswith(("line", "triangle", "tetra")):
-        elements = _count(count, "curved element")
+        elements = counted(count, "curved element")
         return f"holds {elements} ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
-    elements = _count(count, "element")
+    elements = counted(count, "element")
     others = "quadrilaterals, hexahedra, wedges and pyramids"
     return f"holds {elements} of kind '{kind}'; only triangles, tetrahedra, {others} are read, with their corners alone"
 
@@ -164,11 +165,11 @@ def _check_cells(mesh: FileMesh) -> None:
     flat = np.flatnonzero((np.abs(volumes) <= FLAT) | (longest == 0))
     if len(flat) > 0:
         raise InputError(
-            f"{_count(len(flat), 'cell')} without volume, the first with vertices {_places(points[cells[flat[0]]])}"
+            f"{counted(len(flat), 'cell')} without volume, the first with vertices {_places(points[cells[flat[0]]])}"
         )
     distinct, times = np.unique(np.sort(cells, axis=1), axis=0, return_counts=True)
     if len(distinct) < len(cells):
-        raise InputError(f"{_count(int(np.sum(times > 1)), 'cell')} listed more than once")
+        raise InputError(f"{counted(int(np.sum(times > 1)), 'cell')} listed more than once")
     everything = faces(cells)
     one, other = neighbours(everything)
     third = np.flatnonzero(np.isin(one, other))
@@ -179,8 +180,8 @@ def _check_cells(mesh: FileMesh) -> None:
     if len(folded) > 0:
         place = points[everything[one[folded[0]]]]
         raise InputError(
-            f"{_count(len(folded), 'pair')} of neighbouring cells overlap (inverted or folded cells), the first at the "
-            f"facet with vertices {_places(place)}"
+            f"{counted(len(folded), 'pair')} of neighbouring cells overlap (inverted or folded cells), the first at "
+            f"the facet with vertices {_places(place)}"
         )
 
 
@@ -194,11 +195,7 @@ def _side(points: Array, cells: Indices, everything: Indices, chosen: Indices) -
 
 
 def _places(points: Array) -> str:
-    return ", ".join("(" + ", ".join(f"{x:.6g}" for x in point) + ")" for point in points)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
+    return ", ".join(place_in_words(point, 6) for point in points)
 
 
 def left_over(mesh: FileMesh, listed: Collection[str]) -> dict[str, int]:
@@ -242,13 +239,13 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             if len(facets) == 0:
                 raise InputError(f"{place} is empty")
             if np.any(facets < 0):
-                raise InputError(f"{place} has {_count(int(np.sum(facets < 0)), 'facet')} without a cell")
+                raise InputError(f"{place} has {counted(int(np.sum(facets < 0)), 'facet')} without a cell")
             if np.any(times[facets] > 1):
-                raise InputError(f"{place} has {_count(int(np.sum(times[facets] > 1)), 'facet')} inside the domain")
+                raise InputError(f"{place} has {counted(int(np.sum(times[facets] > 1)), 'facet')} inside the domain")
             taken = owner[facets]
             if np.any(taken >= 0):
                 other = used[taken[taken >= 0][0]]
-                raise InputError(f"{place} and '{other}' share {_count(int(np.sum(taken >= 0)), 'facet')}")
+                raise InputError(f"{place} and '{other}' share {counted(int(np.sum(taken >= 0)), 'facet')}")
             owner[facets] = len(used)
             used.append(name)
     boundary = times == 1
@@ -256,7 +253,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     given = conditions.get("dirichlet")
     if given is not None and np.any(left):
         where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
-        raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
+        raise InputError(f"[boundary]: {counted(int(left.sum()), 'facet')} in no part, the first around {where}")
     between = conditions.get("inner") or any(key.startswith("pair.") for key in conditions)
     if "contact" not in conditions and not between:  # otherwise laws may hold a component
         held = [used.index(name) for name in given or conditions.get("problem.u_D", ())]

@@ -12,6 +12,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import joined, rows_of
+from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.seams import unit_normals
@@ -152,9 +153,9 @@ def _is_second(mesh: FileMesh, name: str, side: Side, facets: Indices, cells: In
     middle = mesh.points[mesh.cells[cells[:, 1]]].mean(axis=1)
     second, unclear, why = on_side(key, side, mesh.regions, cells, corners, middle)
     if unclear.any():
-        where = ", ".join(f"{x:.6g}" for x in corners[unclear][0].mean(axis=0))
+        where = place_in_words(corners[unclear][0].mean(axis=0), 6)
         raise InputError(
-            f"{key}: {np.count_nonzero(unclear)} facets are {why}, the first around ({where}); name the side by a "
+            f"{key}: {np.count_nonzero(unclear)} facets are {why}, the first around {where}; name the side by a "
             "region of cells, or by a direction that points to it from all its facets"
         )
     return second

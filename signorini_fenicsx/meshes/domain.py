@@ -18,6 +18,7 @@ from signorini_fenicsx.base.errors import InputError, check_names
 from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_cells, owned_cells
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts, without_law
 
 AXES = "xyz"
@@ -125,7 +126,7 @@ class Domain:
         levels, first = 0, self
         while first.coarser is not None:
             levels, first = levels + 1, first.coarser
-        return first.made + (f", refined uniformly {levels} time{'s' * (levels > 1)}" if levels else "")
+        return first.made + (f", refined uniformly {counted(levels, 'time')}" if levels else "")
 
     def ancestor(self, factor: float) -> "Domain | None":
         """The mesh, coarser by about this factor, from which this one was refined uniformly; None if there is none."""

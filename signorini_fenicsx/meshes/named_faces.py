@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError, telling
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 
@@ -36,39 +36,37 @@ def named(mesh: FileMesh, rules: Mapping[str, Rule], path: str) -> FileMesh:
     Raises:
         InputError: If a rule finds no facet of the boundary, or its name is that of another part.
     """
+    if not rules:
+        return mesh
+    rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
+    outside = rows[times == 1]
     with telling(f"mesh {path}: [geometry] faces"):
-        return replace(mesh, parts={**mesh.parts, **{name: _found(mesh, name, rule) for name, rule in rules.items()}})
+        found = {name: _found(mesh, outside, name, rule) for name, rule in rules.items()}
+    return replace(mesh, parts={**mesh.parts, **found})
 
 
-def _found(mesh: FileMesh, name: str, rule: Rule) -> Indices:
-    """The facets of a rule, as ascending vertices."""
+def _found(mesh: FileMesh, outside: Indices, name: str, rule: Rule) -> Indices:
+    """The facets of a rule among those of the boundary, as ascending vertices."""
     if name in mesh.parts:
         raise InputError(f"'{name}' is a part of the file already; choose another name")
     rules = (rule,) if isinstance(rule, str) else rule
-    return np.unique(np.concatenate([_of_one(mesh, name, each) for each in rules]), axis=0)
+    return np.unique(np.concatenate([_of_one(mesh, outside, name, each) for each in rules]), axis=0)
 
 
-def _of_one(mesh: FileMesh, name: str, rule: str) -> Indices:
+def _of_one(mesh: FileMesh, outside: Indices, name: str, rule: str) -> Indices:
     """The facets of a part, or on a plane."""
     if rule in mesh.parts:
         return mesh.parts[rule]
-    if PLACE.fullmatch(rule) is None:
+    match = PLACE.fullmatch(rule)
+    if match is None:
         raise InputError(f"{name}: unknown part '{rule}'; there are {', '.join(mesh.parts) or 'none'}")
-    every, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
-    found = every[(times == 1) & _on_plane(mesh.points, rule)[every].all(axis=1)]
+    axis, end = "xyz".index(match[1]), match[2]
+    if axis >= mesh.dim:
+        raise InputError(f"a mesh in the plane has no z, which '{rule}' needs")
+    along = mesh.points[:, axis]
+    at = float(match[3]) if end is None else along.min() if end == "min" else along.max()
+    is_on = np.abs(along - at) <= ON * np.ptp(mesh.points, axis=0).max()
+    found = outside[is_on[outside].all(axis=1)]
     if len(found) == 0:
         raise InputError(f"{name}: no facet of the boundary is at {rule}")
     return found
-
-
-def _on_plane(points: Array, rule: str) -> Mask:
-    """The points on the plane of a rule."""
-    match = PLACE.fullmatch(rule)
-    assert match is not None
-    axis, end = "xyz".index(match[1]), match[2]
-    if axis >= points.shape[1]:
-        raise InputError(f"a mesh in the plane has no z, which '{rule}' needs")
-    along = points[:, axis]
-    at = float(match[3]) if end is None else along.min() if end == "min" else along.max()
-    on: Mask = np.abs(along - at) <= ON * np.ptp(points, axis=0).max()
-    return on

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.base.text import counted, place_in_words
 from signorini_fenicsx.cases.plot import Plot, in_unit, plot_of
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, opposite
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
@@ -144,7 +144,7 @@ def value_at(largest: Mapping[str, Any], unit: str, length: str) -> str:
 
 def place(x: Sequence[float], length: str) -> str:
     """A point in a unit of lengths."""
-    return in_unit(f"({', '.join(f'{each:.4g}' for each in x)})", length)
+    return in_unit(place_in_words(x), length)
 
 
 def _fixed_point(about: Mapping[str, Any]) -> str:
