@@ -39,10 +39,9 @@ def test_read_on_any_number_of_ranks(folder: Path):
         ("example1", CUBE | {"solve.algorithm": "alg4", "solve.eps": 0.5}),
     ]:
         case = load_case(name).with_values({"solve.h": 2**-3} | values)
-        alone = folder / str(COMM.rank)
-        alone.mkdir(exist_ok=True)
+        together, alone = folder / "all", folder / str(COMM.rank)
         for original, read in [
-            (kept(case, COMM, folder), load_solution(folder, MPI.COMM_SELF)),
+            (kept(case, COMM, together), load_solution(together, MPI.COMM_SELF)),
             (kept(case, MPI.COMM_SELF, alone), load_solution(COMM.bcast(alone), COMM)),
         ]:
             assert case_of(read) == case_of(original)
