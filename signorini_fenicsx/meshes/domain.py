@@ -1,8 +1,8 @@
 """Distributed meshes with named boundary parts and regions; these are passed on as vertices by files and refinement."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import basix.ufl
@@ -173,24 +173,6 @@ class Boundary:
         return {"signorini": self.signorini, "neumann": self.neumann, "inner": self.inner, "paired": paired}
 
 
-@dataclass(frozen=True)
-class Marks:
-    """Parts and regions of a mesh that this rank knows.
-
-    Attributes:
-        facets: For each part its facets as ascending vertices in the original numbering of the mesh, shape (n, dim).
-        cells: Mask of the cells in each region, shape (cells, regions), for the cells that this rank passed when
-            the mesh was made; None if it passed none.
-        regions: Names of the regions.
-        together: See `Domain`.
-    """
-
-    facets: Mapping[str, Indices]
-    cells: Mask | None
-    regions: tuple[str, ...]
-    together: tuple[tuple[str, ...], ...] = ()
-
-
 def bounding_box(points: Array, comm: MPI.Comm) -> Array:
     """Smallest and largest coordinates of points of all ranks, shape (2, 3) (collective)."""
     bounds = np.stack([points.min(axis=0, initial=np.inf), (-points).min(axis=0, initial=np.inf)])
@@ -286,27 +268,27 @@ def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
     return float(mesh.comm.allreduce(mesh.h(mesh.topology.dim, owned_cells(mesh)).max(initial=0.0), MPI.MAX))
 
 
-def marked_domain(
-    mesh: dolfinx.mesh.Mesh,
-    parts: Mapping[str, Part],
-    marks: Marks,
-    *,
-    curvature: float,
-    name: str,
-    is_shape: bool = False,
-    made: str = "given",
-    coarser: Domain | None = None,
-) -> Domain:
-    """Find the marked facets and cells on a mesh (collective)."""
+def marked(
+    mesh: dolfinx.mesh.Mesh, facets: Mapping[str, Indices], cells: Mask | None, regions: Iterable[str]
+) -> dict[str, Any]:
+    """What a `Domain` has on a mesh: its largest cell diameter, parts and regions (collective).
+
+    Args:
+        mesh: The mesh.
+        facets: For each part the facets that this rank knows, as ascending vertices in the original numbering of the
+            mesh, shape (n, dim).
+        cells: Mask of the cells in each region, shape (cells, regions), for the cells that this rank passed when
+            the mesh was made; None if it passed none.
+        regions: Names of the regions.
+    """
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
-    regions = {}
-    if marks.regions:
-        inside = fetch_rows(mesh.comm, original_cells(mesh), marks.cells)
-        regions = {name: np.flatnonzero(inside[:, k]).astype(np.int32) for k, name in enumerate(marks.regions)}
-    facets = found(mesh, marks.facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    domain = Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape, made, coarser)
-    return replace(domain, together=marks.together)
+    of_regions = {}
+    if names := list(regions):
+        inside = fetch_rows(mesh.comm, original_cells(mesh), cells)
+        of_regions = {name: np.flatnonzero(inside[:, k]).astype(np.int32) for k, name in enumerate(names)}
+    outer = found(mesh, facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
+    return {"mesh": mesh, "h": largest_diameter(mesh), "facets": outer, "regions": of_regions}
 
 
 def found(

@@ -1,6 +1,8 @@
 """Local refinement: marking of cells, and the refined mesh. Neither depends on the number of ranks."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -13,13 +15,12 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.owned import cell_nodes, sums_at
 from signorini_fenicsx.meshes.domain import (
     Domain,
-    Marks,
     bounding_box,
     brought_together,
     distribute,
     facet_pairs,
     largest_diameter,
-    marked_domain,
+    marked,
     membership,
     other_side,
 )
@@ -98,12 +99,9 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
     def vertices(local: npt.NDArray[np.int32], columns: int) -> Indices:
         return nodes.local_to_global(local.ravel()).reshape(-1, columns)
 
-    marks = Marks(
-        {name: np.sort(vertices(children[np.isin(boundary, f)], dim), axis=1) for name, f in domain.facets.items()},
-        membership(domain)[parent_cell],
-        tuple(domain.regions),
-        domain.together,
-    )
+    of_parts = {
+        name: np.sort(vertices(children[np.isin(boundary, f)], dim), axis=1) for name, f in domain.facets.items()
+    }
     points, children_of_cells = fine.geometry.x[: nodes.size_local, :dim], vertices(cell_nodes(fine), dim + 1)
     together = None
     if pairs or domain.together:
@@ -115,7 +113,8 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         first = fine.topology.index_map(dim).local_range[0]
         together = np.concatenate([together + first, brought_together(mesh.comm, [first + cells for cells in groups])])
     refined = distribute(mesh.comm, points, children_of_cells, dim, together=together)
-    return descendant(domain, refined, marks, "refined where the error is")
+    there = marked(refined, of_parts, membership(domain)[parent_cell], domain.regions)
+    return descendant(domain, there, "refined where the error is")
 
 
 def _uneven(
@@ -142,31 +141,20 @@ def _uneven(
     return np.concatenate([named[uneven], across[uneven]])
 
 
-def descendant(
-    domain: Domain, mesh: dolfinx.mesh.Mesh, marks: Marks, made: str, coarser: Domain | None = None
-) -> Domain:
+def descendant(domain: Domain, there: Mapping[str, Any], made: str, coarser: Domain | None = None) -> Domain:
     """A domain on a refined mesh; the vertices of curved boundary parts move there (collective).
 
     Args:
         domain: What was refined.
-        mesh: The refined mesh.
-        marks: Its parts and regions.
+        there: The refined mesh with its parts and regions, see `marked`.
         made: How it was made, in words.
         coarser: The domain again if it was refined uniformly.
 
     Raises:
         NumericalFailure: If moving the vertices would flatten or invert a cell.
     """
-    refined = marked_domain(
-        mesh,
-        domain.parts,
-        marks,
-        curvature=domain.curvature,
-        name=domain.name,
-        is_shape=domain.is_shape,
-        made=made,
-        coarser=coarser,
-    )
+    refined = replace(domain, made=made, coarser=coarser, changed="", **there)
+    mesh = refined.mesh
     nearest = {name: part.nearest for name, part in domain.parts.items() if part.nearest is not None}
     if not nearest:
         return refined

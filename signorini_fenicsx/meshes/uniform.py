@@ -17,7 +17,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets, number_of_cells
 from signorini_fenicsx.meshes.checks import diameters
-from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, membership
+from signorini_fenicsx.meshes.domain import Domain, distribute, marked, membership
 from signorini_fenicsx.meshes.refinement import descendant
 
 EDGES = {2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
@@ -75,8 +75,8 @@ def refined_uniformly(domain: Domain) -> Domain:
     cells = children.reshape(-1, dim + 1)
     facets = {name: _children_of_facets(mesh, facets, numbers) for name, facets in domain.facets.items()}
     fine = distribute(comm, points, cells, dim, stay=True)
-    marks = Marks(facets, np.repeat(membership(domain), 2**dim, axis=0), tuple(domain.regions), domain.together)
-    return descendant(domain, fine, marks, made=domain.made, coarser=domain)
+    there = marked(fine, facets, np.repeat(membership(domain), 2**dim, axis=0), domain.regions)
+    return descendant(domain, there, made=domain.made, coarser=domain)
 
 
 def _numbers(comm: MPI.Comm, *maps: IndexMap) -> list[Indices]:

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_c
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.rows import rows_of
 from signorini_fenicsx.meshes.checks import FileMesh, faces
-from signorini_fenicsx.meshes.domain import AXES, Domain, Marks, axis_part, brought_together, distribute, marked_domain
+from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, brought_together, distribute, marked
 
 type Entities = npt.NDArray[np.int32]
 
@@ -101,8 +101,8 @@ def handed_out(
             inside[chosen, column] = True
     parts = {part: axis_part(label) for part, label in labels.items()}
     mesh = distribute(comm, points, cells, dim, together=together)
-    marks = Marks(facets, inside, regions, tuple(map(tuple, pairs)))
-    return marked_domain(mesh, parts, marks, curvature=curvature, name=name, made=made)
+    there, together_in_pairs = marked(mesh, facets, inside, regions), tuple(map(tuple, pairs))
+    return Domain(parts=parts, curvature=curvature, name=name, made=made, together=together_in_pairs, **there)
 
 
 def _together(whole: FileMesh, pairs: Sequence[Sequence[str]]) -> Indices | None:

@@ -32,13 +32,12 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import (
     Domain,
-    Marks,
     Part,
     axis_part,
     brought_together,
     distribute,
     facet_vertices,
-    marked_domain,
+    marked,
     membership,
 )
 from signorini_fenicsx.meshes.own import check_parts
@@ -250,14 +249,14 @@ def _read_domain(checkpoint: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequ
     pairs = tuple((*each.slave, *each.master) for each in getattr(checkpoint.boundary, "pairs", ()))
     mesh = distribute(comm, arrays["points"], arrays["cells"], checkpoint.dim, together=arrays.get("together"))
     facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
-    domain = marked_domain(
-        mesh,
-        _parts(checkpoint),
-        Marks(facets, arrays.get("inside"), tuple(about.regions), pairs),
+    domain = Domain(
+        parts=_parts(checkpoint),
         curvature=about.bend,
         name=checkpoint.domain,
         is_shape=checkpoint.shape is not None,
         made=about.made,
+        together=pairs,
+        **marked(mesh, facets, arrays.get("inside"), about.regions),
     )
     check_parts(domain, used)
     for index, name in enumerate(facets):
