@@ -67,16 +67,7 @@ class BodyKeys(Meshed):
 
     def made(self) -> Body:
         """The body."""
-        return Body(
-            self.shape,
-            self.file,
-            tuple(self.offset),
-            self.h,
-            self.mesh,
-            self.diagonal,
-            self.faces,
-            tuple(self.sizes.items()),
-        )
+        return Body(**dict(self) | {"offset": tuple(self.offset), "sizes": tuple(self.sizes.items())})
 
 
 def _bodies(value: object) -> object:

@@ -43,19 +43,22 @@ def screen(view: Array) -> tuple[Array, Array]:
     return across, up / np.linalg.norm(up)
 
 
-def go_near(camera: pyvista.Camera, points: Array, view: Array) -> None:
-    """Show the neighbourhood of points of shape (…, 3) alone, in parallel projection."""
+def _ball(points: Array) -> tuple[Array, Array, float]:
+    """Points in rows, and the middle and the radius of a ball around them."""
     points = points.reshape(-1, 3)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    radius = np.linalg.norm(points - middle, axis=1).max()
+    return points, middle, np.linalg.norm(points - middle, axis=1).max()
+
+
+def go_near(camera: pyvista.Camera, points: Array, view: Array) -> None:
+    """Show the neighbourhood of points of shape (…, 3) alone, in parallel projection."""
+    _, middle, radius = _ball(points)
     camera.focal_point, camera.position, camera.parallel_scale = middle, middle + 3 * radius * view, radius
 
 
 def cropped_near(image: npt.NDArray[np.uint8], points: Array, view: Array) -> npt.NDArray[np.uint8]:
     """The square image that `go_near` makes without what is farther from the points than some margin."""
-    points = points.reshape(-1, 3)
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    radius = np.linalg.norm(points - middle, axis=1).max()
+    points, middle, radius = _ball(points)
     across, up = screen(view)
     places = (points - middle) @ np.column_stack([across, -up]) / (2 * radius) + 0.5
     low, high = (places.min(axis=0) - MARGIN) * len(image), (places.max(axis=0) + MARGIN) * len(image)
