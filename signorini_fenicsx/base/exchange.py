@@ -31,8 +31,8 @@ MANIFEST = "files.json"
 """Lists the files in a results folder that the program wrote."""
 
 OWN = (
-    *("checkpoint/about.json", "facets/00000.parquet"),
-    *("summary.json", "history.csv", "facets.csv", "solution.xdmf", "solution.h5"),
+    *("checkpoint/about.json", "summary.json", "history.csv"),
+    *("facets.csv", "facets.parquet", "solution.xdmf", "solution.h5"),
     *(f"{name}.bp/{part}" for name in ("solution", "multiplier") for part in ("data.0", "md.0", "md.idx", "mmd.0")),
     *(f"{name}.bp/profiling.json" for name in ("solution", "multiplier")),
     *("u.png", "sigma.png", "signorini.png", "iterations.png", "certificate.png"),

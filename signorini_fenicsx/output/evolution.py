@@ -1,7 +1,7 @@
 """The results of a run in time as files: tables of all steps, the fields as one series, pictures."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from signorini_fenicsx.output.checkpoint import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.outlines import write_readings
 from signorini_fenicsx.output.steps import OPPOSITE, Row, StepFolder
-from signorini_fenicsx.output.tables import write_columns
+from signorini_fenicsx.output.tables import write_sites
 from signorini_fenicsx.output.writing import with_quantities, write_summary
 from signorini_fenicsx.pictures.gather import sample_of
 from signorini_fenicsx.quantities import Quantity
@@ -90,11 +90,12 @@ def write_evolution(
 
     def tables() -> None:
         write_rows(results.path / "steps.csv", dict.fromkeys(key for row in rows for key in row), rows)
-        _write_sites(results.path / kind.name, rows, lambda step: solution.columns(steps.table(step, kind)), many=many)
+        sites = (_at(row, solution.columns(steps.table(row["step"], kind))) for row in rows)
+        write_sites(results.path / kind.name, sites, many=many)
         if opposite is not None:
-            columns = opposite.columns
             of = type(opposite.table)
-            _write_sites(results.path / of.name, rows, lambda step: columns(steps.table(step, of, OPPOSITE)), many=many)
+            sites = (_at(row, opposite.columns(steps.table(row["step"], of, OPPOSITE))) for row in rows)
+            write_sites(results.path / of.name, sites, many=many)
         units = units_of(solution)
         for name in solution.readings:
             write_readings(results.path, name, [(row["t"], steps.readings(row, name)) for row in rows], units)
@@ -136,23 +137,10 @@ def _along(rows: Sequence[Row]) -> dict[str, Any]:
     return {"iterations": iterations, "time": end | {"largest": largest | guaranteed}}
 
 
-def _write_sites(path: Path, rows: Sequence[Row], of_step: Callable[[int], Columns], *, many: bool) -> None:
-    """Write a table of sites, one row for each site and step, as text, or as Parquet if they are many (rank 0)."""
-
-    def columns(row: Row) -> dict[str, Any]:
-        table = of_step(row["step"])
-        length = len(next(iter(table.values())))
-        return {**{key: np.full(length, row[key]) for key in ("step", "t")}, **table}
-
-    if many:
-        import pyarrow.parquet  # takes a second to import
-
-        first = pyarrow.table(columns(rows[0]))
-        with pyarrow.parquet.ParquetWriter(path.with_suffix(".parquet"), first.schema) as writer:
-            for row in rows:
-                writer.write_table(pyarrow.table(columns(row), schema=first.schema))
-        return
-    write_columns(path.with_suffix(".csv"), map(columns, rows))
+def _at(row: Row, table: Columns) -> Columns:
+    """A table of sites after the step with this row, with step and time in front."""
+    length = len(next(iter(table.values())))
+    return {**{key: np.full(length, row[key]) for key in ("step", "t")}, **table}
 
 
 def _draw(

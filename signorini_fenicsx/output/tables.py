@@ -1,13 +1,9 @@
-"""Tables of a part of the boundary: one text file, or of large parts a Parquet file of each rank."""
+"""Tables of sites and others: text, or a Parquet file of very many rows."""
 
 import csv
-import errno
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mpi4py import MPI
-
-from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.solving.solved import Columns
 
 
@@ -21,25 +17,15 @@ def write_columns(path: Path, tables: Iterable[Columns]) -> None:
             writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
-def write_by_rank(comm: MPI.Comm, folder: Path, columns: Callable[[], Columns]) -> None:
-    """Write the rows of each rank as `<rank>.parquet` in a folder, which is made (collective).
-
-    Args:
-        comm: Communicator.
-        folder: The folder.
-        columns: Gives the columns of the rows of this rank.
-
-    Raises:
-        OSError: On all ranks, if the disk is full.
-    """
+def write_sites(path: Path, tables: Iterator[Columns], *, many: bool) -> None:
+    """Write tables of sites below each other as `<path>.csv`, or as `<path>.parquet` if they are many (rank 0)."""
+    if not many:
+        write_columns(path.with_suffix(".csv"), tables)
+        return
     import pyarrow.parquet  # takes a second to import
 
-    on_root(comm, lambda: folder.mkdir(exist_ok=True))
-    failure, mine = "", columns()
-    try:
-        pyarrow.parquet.write_table(pyarrow.table(dict(mine)), folder / f"{comm.rank:05}.parquet")
-    except OSError as error:
-        failure = error.strerror or str(error)
-    failure = comm.allreduce(failure, MPI.MAX)
-    if failure:
-        raise OSError(errno.EIO, failure, str(folder))
+    first = pyarrow.table(dict(next(tables)))
+    with pyarrow.parquet.ParquetWriter(path.with_suffix(".parquet"), first.schema) as writer:
+        writer.write_table(first)
+        for columns in tables:
+            writer.write_table(pyarrow.table(dict(columns), schema=first.schema))

@@ -30,7 +30,7 @@ from signorini_fenicsx.output.checkpoint import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.latex import write_latex
 from signorini_fenicsx.output.outlines import write_readings
-from signorini_fenicsx.output.tables import write_by_rank, write_columns
+from signorini_fenicsx.output.tables import write_sites
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.solved import Solved
@@ -125,7 +125,13 @@ class SolutionFiles:
     def tables(self, folder: Path) -> None:
         """Write the tables of sites, of iterations, and others that the physics has."""
         with self._watch.phase("output"):
-            write_sites(folder, self._solution)
+            solution, table = self._solution, self._solution.table()
+            number, whole = solution.spaces.Lambda.dofmap.index_map.size_global, table.gathered(self._comm)
+            many = number > solution.options.tuning.one_table_up_to
+            on_root(
+                self._comm,
+                lambda: write_sites(folder / table.name, iter([solution.columns(whole)]), many=many),
+            )
             for name, columns in (self._solution.other_tables() | self._solution.readings).items():
                 on_root(self._comm, partial(write_readings, folder, name, [(None, columns)], self._units))
             history = self._solution.outcome.history
@@ -239,21 +245,6 @@ def with_quantities(summary: dict[str, Any], quantities: Mapping[str, Quantity])
         return summary
     summaries = {name: each.summary() for name, each in quantities.items()}
     return summary | {"quantities": summary.get("quantities", {}) | summaries}
-
-
-def write_sites(folder: Path, solution: Solved) -> None:
-    """Write the table of sites as text; of a large Γ_S a folder with the rows of each rank as Parquet (collective).
-
-    Raises:
-        OSError: On all ranks, if the disk is full.
-    """
-    spaces, table = solution.spaces, solution.table()
-    comm = spaces.mesh.comm
-    if spaces.Lambda.dofmap.index_map.size_global > solution.options.tuning.one_table_up_to:
-        write_by_rank(comm, folder / table.name, lambda: solution.columns(table.in_order()))
-        return
-    whole = table.gathered(comm)
-    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", [solution.columns(whole)]))
 
 
 def publish_convergence(
