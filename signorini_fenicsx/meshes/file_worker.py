@@ -57,16 +57,13 @@ def pack(contents: Contents, result: BinaryIO) -> None:
     """Write contents as arrays."""
     arrays: dict[str, Any] = {"points": contents.points}
     arrays |= {f"block_{i}": elements for i, (_, elements) in enumerate(contents.blocks)}
-    groups = []
-    for name, dim, members in contents.groups:
-        groups.append([name, dim, [block for block, _ in members], len(arrays)])
-        arrays[f"rows_{len(arrays)}"] = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in members)])
-        arrays[f"sizes_{groups[-1][3]}"] = np.array([len(rows) for _, rows in members], dtype=np.int64)
+    for i, (_, _, members) in enumerate(contents.groups):
+        arrays |= {f"rows_{i}_{j}": rows for j, (_, rows) in enumerate(members)}
     arrays |= {f"values_{i}": values for i, values in enumerate(contents.values.values())}
     about = json.dumps(
         {
             "kinds": [kind for kind, _ in contents.blocks],
-            "groups": groups,
+            "groups": [(name, dim, [block for block, _ in members]) for name, dim, members in contents.groups],
             "straight": contents.straight,
             "values": list(contents.values),
         }
@@ -84,10 +81,10 @@ def unpack(result: BinaryIO) -> Contents:
         with np.load(result, allow_pickle=False) as arrays:
             about = json.loads(str(arrays["about"]))
             blocks = [(str(kind), arrays[f"block_{i}"]) for i, kind in enumerate(about["kinds"])]
-            groups = []
-            for name, dim, members, key in about["groups"]:
-                parts = np.split(arrays[f"rows_{key}"], np.cumsum(arrays[f"sizes_{key}"])[:-1])
-                groups.append((printable(name), int(dim), list(zip(members, parts, strict=False))))
+            groups = [
+                (printable(name), int(dim), [(block, arrays[f"rows_{i}_{j}"]) for j, block in enumerate(members)])
+                for i, (name, dim, members) in enumerate(about["groups"])
+            ]
             values = {printable(name): arrays[f"values_{i}"] for i, name in enumerate(about["values"])}
             return Contents(arrays["points"], blocks, groups, bool(about["straight"]), values)
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
