@@ -8,20 +8,10 @@ import numpy as np
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary
+from signorini_fenicsx.output.latex import formula
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.sheet import Sheet
 
-ERROR_LABELS = {
-    "sigma_V": r"$\|\sigma_{\mathrm{ref}}-\sigma_h\|_V$",
-    "u_Q": r"$\|u_{\mathrm{ref}}-u_h\|_Q$",
-    "p_Lambda": r"$\|p_{\mathrm{ref}}-p_h\|_\Lambda$",
-    "p_half": r"$\|p_{\mathrm{ref}}-p_h\|_{1/2}$",
-    "flux_scaled": r"$\sqrt{\varepsilon}\,\|(\sigma_{\mathrm{ref}}-\sigma_h)\cdot n\|_\Lambda$",
-    "energy": r"$|\sigma_{\mathrm{ref}}-\sigma_h|$",
-    "u_L2": r"$\|u_{\mathrm{ref}}-u_h\|$",
-    "pressure_L2": r"$\|(\sigma_{\mathrm{ref}}-\sigma_h)_{nn}\|_{\Gamma_C}$",
-    "gap_L2": r"$\|(u_{\mathrm{ref}}-u_h)_n\|_{\Gamma_C}$",
-}
 GUIDES = {"sigma_V": (1.0, 0.5), "energy": (2.0, 1.5)}
 """Slopes to compare with, by the error that is named first."""
 
@@ -39,7 +29,7 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
         for key, look, suffix in ((name, "o-", ""), (f"slides_{name}", "x:", ", slides")):
             values = [table.get(key) or np.nan for table in tables]
             if not np.all(np.isnan(values)):
-                label = ERROR_LABELS.get(name, name) + suffix
+                label = (formula(name) or name) + suffix
                 axes.loglog(x, values, look, color=f"C{index}", label=label, markersize=5)
     for slope, look in zip(GUIDES.get(first, ()), ("k--", "k:"), strict=False):
         guide = (tables[0][first] or np.nan) * 0.5 * (x / x[0]) ** slope

@@ -7,18 +7,22 @@ from typing import Any
 
 from signorini_fenicsx.comparing.convergence import ErrorRow
 
-NAMES = {
+FORMULAS = {
     "sigma_V": r"\|\sigma-\sigma_h\|_V",
-    "sigma_L2": r"\|\sigma-\sigma_h\|",
     "u_Q": r"\|u-u_h\|",
-    "u_L2": r"\|u-u_h\|",
-    "u_potential_L2": r"\|u-\tilde u_h\|",
     "p_Lambda": r"\|p-p_h\|",
     "p_half": r"\|p-p_h\|_{1/2}",
-    "p_L2": r"\|p-p_h\|",
-    "flux_scaled": r"\sqrt\varepsilon\|(\sigma-\sigma_h)\cdot n\|",
+    "flux_scaled": r"\sqrt{\varepsilon}\|(\sigma-\sigma_h)\cdot n\|",
+    "energy": r"|\sigma-\sigma_h|",
+    "u_L2": r"\|u-u_h\|",
+    "pressure_L2": r"\|(\sigma-\sigma_h)_{nn}\|",
+    "gap_L2": r"\|(u-u_h)_n\|",
 }
-"""The errors as formulas; others stand with their names."""
+
+
+def formula(error: str) -> str:
+    """The formula of an error; empty for one that stands with its name."""
+    return f"${FORMULAS[error]}$" if error in FORMULAS else ""
 
 
 def write_latex(path: Path, rows: Sequence[ErrorRow]) -> None:
@@ -27,7 +31,7 @@ def write_latex(path: Path, rows: Sequence[ErrorRow]) -> None:
     with_eps = any(row.eps is not None for row in rows)
     heads = ["$h$", *([r"$\varepsilon$"] if with_eps else []), "cells", "iterations"]
     for name in names:
-        heads += [f"${NAMES[name]}$" if name in NAMES else _text(name), "order"]
+        heads += [formula(name) or _text(name), "order"]
     lines = []
     for row in rows:
         entries = [_number(row.h), *([_number(row.eps)] if with_eps else []), str(row.cells), str(row.iterations)]
