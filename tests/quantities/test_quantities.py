@@ -336,7 +336,7 @@ def test_on_ranks():
     problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
 
     def intervals(comm: MPI.Comm) -> list[tuple[float, ...]]:
-        solution = solve(build_domain(comm, "square", 1 / 4, mesh="structured"), problem)
+        solution = solve(build_domain(comm, "square", 1 / 2, mesh="structured"), problem)
         kinds = Integral(parts="bottom"), Flux(["left", "top", "bottom"])
         found = [solution.quantity(kind) for kind in kinds]
         return [(each.value, each.lower, each.upper, each.guaranteed) for each in found]
