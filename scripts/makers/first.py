@@ -57,7 +57,8 @@ def changed(rng: np.random.Generator, name: str) -> dict[str, Any]:
                 new[f"{place}.{key}"] = times(table[key], 10 ** rng.uniform(-2, 2))
     fixed = tree.get("boundary", {}).get("fixed", {})
     if fixed and rng.random() < 0.3:
-        new["boundary.fixed"] = {part: ways for part, ways in fixed.items() if rng.random() < 0.5}
+        moved = tree["problem"].get("u_D", {})
+        new["boundary.fixed"] = {part: ways for part, ways in fixed.items() if part in moved or rng.random() < 0.5}
         new["boundary.neumann"] = [*tree["boundary"].get("neumann", []), *(fixed.keys() - new["boundary.fixed"].keys())]
     return new
 
