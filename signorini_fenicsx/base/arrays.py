@@ -35,6 +35,12 @@ def inverses(matrices: Array) -> Array:
     return inverse
 
 
+def positions(listed: AnyIndices, wanted: AnyIndices) -> npt.NDArray[np.intp]:
+    """Where some numbers are among listed ones, in any order, of which each is there once."""
+    order = np.argsort(listed)
+    return order[np.searchsorted(listed, wanted, sorter=order)]
+
+
 def gathered(values: Array, numbers: npt.NDArray[np.int32]) -> Array:
     """values[numbers] for numbers of shape (n, …), in Fortran's order."""
     return values.take(numbers.T).T

@@ -50,6 +50,11 @@ def hat_gradients(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)
     return np.concatenate([-np.einsum("cvi->ci", inverse)[:, None], inverse], axis=1)
 
 
+def nearest(places: Array, among: Array) -> npt.NDArray[np.intp]:
+    """Which of some places is the nearest one, for each place on the same facet or cell, shape (…, places)."""
+    return np.square(places[..., :, None, :] - among[..., None, :, :]).sum(axis=-1).argmin(axis=-1)
+
+
 def some_at_a_time(mesh: dolfinx.mesh.Mesh) -> Iterator[slice]:
     """All owned cells, so many at a time that arrays of them stay in the cache of the processor."""
     number = len(cell_nodes(mesh))

@@ -10,7 +10,14 @@ from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, facet_type, in_facets, quadratic_nodes
+from signorini_fenicsx.discrete.points import (
+    Points,
+    cell_quadrature,
+    facet_quadrature,
+    facet_type,
+    in_facets,
+    quadratic_nodes,
+)
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.enclosures import ranges, surely_above
 
@@ -64,6 +71,15 @@ def least_value(spaces: MeshSpaces, datum: Datum, wanted: Array) -> tuple[float,
                 of_tree = ranges(tree, vertices[cells], None, spaces.frame, wanted[cells], np.inf)
                 candidates += _least(of_tree.least, of_tree.at)
     return min(mesh.comm.allgather(min(candidates)))
+
+
+def worst_of(comm: MPI.Comm, excess: Array, points: Points) -> tuple[float, tuple[float, ...]]:
+    """The largest of some numbers in points and its place; 0 and no place if none is above 0 (collective)."""
+    worst: tuple[float, tuple[float, ...]] = (0.0, ())
+    if excess.max(initial=0.0) > 0:
+        place = int(np.argmax(excess))
+        worst = float(excess[place]), tuple(points.x.reshape(len(excess), -1)[place].tolist())
+    return max(comm.allgather(worst))
 
 
 def _least(values: Array, places: Array) -> list[tuple[float, tuple[float, ...]]]:

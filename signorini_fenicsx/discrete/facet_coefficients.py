@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.bernstein import exponents, nodes
+from signorini_fenicsx.discrete.bernstein import exponents, nodes, numbers_in
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
 
@@ -137,7 +137,4 @@ def in_order(ranking: Indices, degree: int) -> Indices:
         degree: Of the points.
     """
     steps = exponents(SIMPLEX[ranking.shape[1] - 1], degree)
-    digits = (degree + 1) ** np.arange(steps.shape[1])
-    number_of = np.zeros(digits[-1] * (degree + 1), dtype=np.int64)
-    number_of[steps @ digits] = np.arange(len(steps))
-    return number_of[digits[ranking] @ steps.T]
+    return numbers_in(steps, ranking, steps)

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, positions
 from signorini_fenicsx.base.owned import (
     cell_nodes,
     cells_behind,
@@ -27,7 +27,7 @@ from signorini_fenicsx.base.owned import (
 )
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.contact.sites import SiteKind, Sites
-from signorini_fenicsx.discrete.cell_shapes import facet_corners
+from signorini_fenicsx.discrete.cell_shapes import facet_corners, nearest
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.discrete.known import Kept
 from signorini_fenicsx.expressions.cutting import Frame
@@ -140,8 +140,7 @@ class MeshSpaces:
         """The rows of `facets` of the slaves of a pair; none if they are tied."""
         if joint.pair.tied:
             return np.empty(0, dtype=np.intp)
-        order = np.argsort(self.facets)
-        return order[np.searchsorted(self.facets[order], joint.slaves)]
+        return positions(self.facets, joint.slaves)
 
     @cached_property
     def site_kinds(self) -> Sites:
@@ -246,8 +245,7 @@ class MeshSpaces:
         facets = self.Lambda.dofmap.list[:size, 0]
         nodes = dolfinx.mesh.entities_to_geometry(gamma, dim - 1, np.arange(size, dtype=np.int32))
         x = gamma.geometry.x[nodes, :dim]
-        distances = np.square(x[:, :, None] - self.corners[facets][:, None]).sum(axis=3)
-        return distances.argmin(axis=2), facets
+        return nearest(x, self.corners[facets]), facets
 
     @collector_off()
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:
@@ -398,7 +396,6 @@ def inner_facets(domain: Domain, facets: npt.NDArray[np.int32], inner: Sequence[
     rows, across = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.int32)]
     for name in inner:
         named, other = facet_pairs(domain, name)
-        order = np.argsort(facets)
-        rows.append(order[np.searchsorted(facets[order], named)])
+        rows.append(positions(facets, named))
         across.append(other)
     return InnerFacets(np.concatenate(rows), np.concatenate(across), bool(inner))

@@ -9,10 +9,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Graph, Law, LawWithMemory
 from signorini_fenicsx.contact.laws import Corners
-from signorini_fenicsx.discrete.data_values import check_finite, check_means, in_problem
+from signorini_fenicsx.discrete.data_values import check_finite, check_means, in_problem, worst_of
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import (
@@ -279,7 +280,7 @@ def refuse_data(spaces: MeshSpaces, part: PartLaw) -> None:
     Raises:
         InputError: On all ranks, with the place of the worst.
     """
-    comm, dim = spaces.mesh.comm, spaces.mesh.geometry.dim
+    comm = spaces.mesh.comm
     for points in part.quadrature(spaces, quadrature_degree(*part.data.values())):
         values = {key: datum.values(points).ravel() for key, datum in part.data.items()}
         with np.errstate(all="ignore"):  # of data that are refused below
@@ -288,11 +289,7 @@ def refuse_data(spaces: MeshSpaces, part: PartLaw) -> None:
         largest = max(float(np.abs(each).max(initial=0.0)) for each in numbers)
         rounding = ROUNDING * comm.allreduce(largest if np.isfinite(largest) else 0.0, MPI.MAX)
         for what, size in (*part.law.refused(values), *_not_monotone(graph, inside=bool(part.law.region))):
-            size = np.broadcast_to(size, points.shape[0] * points.shape[1])
-            worst: tuple[float, tuple[float, ...]] = (0.0, ())
-            if size.max(initial=0.0) > rounding:
-                worst = float(size.max()), tuple(points.x.reshape(-1, dim)[np.argmax(size)].tolist())
-            excess, place = max(comm.allgather(worst))
-            if place:
-                at = ", ".join(f"{x:.4g}" for x in place)
-                raise InputError(f"{part.name} ({part.law.name}): {what}, as at ({at}), by {excess:.3g}")
+            excess, place = worst_of(comm, np.broadcast_to(size, points.shape[0] * points.shape[1]), points)
+            if excess > rounding:
+                at = place_in_words(place)
+                raise InputError(f"{part.name} ({part.law.name}): {what}, as at {at}, by {excess:.3g}")

@@ -24,7 +24,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask, determinants, gathered, times
 from signorini_fenicsx.base.owned import cells_of_facets
 from signorini_fenicsx.discrete.bernstein import jet
-from signorini_fenicsx.discrete.cell_shapes import Entities, arms, corners, hat_gradients
+from signorini_fenicsx.discrete.cell_shapes import Entities, arms, corners, hat_gradients, nearest
 from signorini_fenicsx.meshes.domain import rounding
 
 AT_ONCE = 100_000
@@ -279,8 +279,7 @@ class FacetPoints(Points):
     def across(self, rows: npt.NDArray[np.intp], facets: Entities) -> "tuple[FacetPoints, npt.NDArray[np.intp]]":
         """The points of some rows in facets of the other side that lie on them, and the number of each there."""
         other = in_facets(self.mesh, facets, self.points, self.weights)
-        apart = np.linalg.norm(self.x[rows][:, :, None] - other.x[:, None], axis=3)
-        return other, np.argmin(apart, axis=2)
+        return other, nearest(self.x[rows], other.x)
 
     def per_cell(self, values: Array, number: int) -> Array:
         """Sums of values per facet over the facets of each owned cell; `number` is that of the cells."""

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets
-from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.base.text import counted, place_in_words
 from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import other_side
@@ -79,7 +79,7 @@ class Faces:
         """How many facets are in some pairs, and where the first one is, in words."""
         facets = np.unique(pairs)
         first = _first(self.corners[facets].mean(axis=1))
-        return f"{counted(len(facets), 'facet')}, the first around {_in_words(first + self.origin)}"
+        return f"{counted(len(facets), 'facet')}, the first around {place_in_words(first + self.origin)}"
 
 
 def check_joined(
@@ -172,7 +172,7 @@ def _check_apart(spaces: MeshSpaces, faces: Faces, paired: Mask) -> None:
     several = (np.concatenate(each) for each in zip(*found, strict=True))
     depths, places, of_one = (np.concatenate(comm.allgather(each)) for each in several)
     if len(depths) > 0:
-        place = _in_words(_first(places[depths >= (1 - SAME) * depths.max()]) + faces.origin)
+        place = place_in_words(_first(places[depths >= (1 - SAME) * depths.max()]) + faces.origin)
         what, they = ("a body overlaps itself", "its sides") if of_one.all() else ("two bodies overlap", "them")
         raise InputError(
             f"{what}, by {depths.max():.3g} around {place}; each point must be in one cell only. Make {they} only "
@@ -213,8 +213,8 @@ def note_facing(spaces: MeshSpaces, contact: Array, normals: Array, gap: Array) 
     places = np.concatenate(comm.allgather(np.concatenate(found)))
     if len(places) > 0:
         spaces.note(
-            f"around {_in_words(_first(places) + faces.origin)} a body has its rigid foundation where another body is, "
-            "and does not press on that one; if it should, mesh them without a gap, "
+            f"around {place_in_words(_first(places) + faces.origin)} a body has its rigid foundation where another "
+            "body is, and does not press on that one; if it should, mesh them without a gap, "
             f"{SHARE} that has the gap"
         )
 
@@ -222,8 +222,3 @@ def note_facing(spaces: MeshSpaces, contact: Array, normals: Array, gap: Array) 
 def _first(places: Array) -> Array:
     """The first of some places by their coordinates, the same for any number of ranks."""
     return np.asarray(places[np.lexsort(places.T[::-1])[0]])
-
-
-def _in_words(x: Array) -> str:
-    """A point in words."""
-    return f"({', '.join(f'{each:.4g}' for each in x)})"

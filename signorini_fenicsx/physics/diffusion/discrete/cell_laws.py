@@ -15,11 +15,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells
-from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.base.text import did_you_mean, place_in_words
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions, joined
 from signorini_fenicsx.contact.law import EVERYWHERE, Graph, Law
 from signorini_fenicsx.contact.laws import Obstacle, Reaction, Storage
-from signorini_fenicsx.discrete.data_values import in_problem
+from signorini_fenicsx.discrete.data_values import in_problem, worst_of
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import Hats
 from signorini_fenicsx.discrete.part_laws import SHORT, PartLaw, chains_of, checked, data_of_law, means_of
@@ -239,20 +239,14 @@ def _check_bounds(spaces: Spaces, part: PartLaw, what: str, facets: npt.NDArray[
         if bound is None or farthest is None:
             continue
         limit, u = (datum.values(points).ravel() for datum in (bound, farthest))
-        excess = sign * (limit - u)
-        worst: tuple[float, tuple[float, ...]] = (0.0, ())
-        if len(excess) > 0:
-            place = int(np.argmax(excess))
-            worst = float(excess[place]), tuple(points.x.reshape(-1, mesh.geometry.dim)[place].tolist())
+        most, place = worst_of(mesh.comm, sign * (limit - u), points)
         size = max(mesh.comm.allgather(float(np.abs(u).max(initial=0.0)) + float(np.abs(limit).max(initial=0.0))))
-        most, x = max(mesh.comm.allgather(worst))
         if most > ROUNDING * size:
-            at = ", ".join(f"{coordinate:.4g}" for coordinate in x)
             key = next((name for name, datum in part.data.items() if datum is bound), "psi")
             where = "on Γ_D" if what == "u_D" else "on Γ_S"
             raise InputError(
-                f"{in_problem(part.key(key))}: is {side} {what} {where}, as at ({at}) by {most:.3g}; u cannot be both "
-                f"{what if what == 'u_D' else 'one of these'} and {side} it"
+                f"{in_problem(part.key(key))}: is {side} {what} {where}, as at {place_in_words(place)} by {most:.3g}; "
+                f"u cannot be both {what if what == 'u_D' else 'one of these'} and {side} it"
             )
 
 

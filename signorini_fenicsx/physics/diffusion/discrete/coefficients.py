@@ -7,6 +7,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values
+from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.data_values import check_means, least_value
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.points import cell_quadrature
@@ -77,7 +78,7 @@ def reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | No
 
 def _near(place: tuple[float, ...]) -> str:
     """A place in the words of a message."""
-    return f" near ({', '.join(f'{x:.4g}' for x in place)})" if place else ""
+    return f" near {place_in_words(place)}" if place else ""
 
 
 def cell_means(spaces: Spaces, datum: Datum, degree: int | None = None) -> Array:

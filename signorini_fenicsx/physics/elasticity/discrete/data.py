@@ -19,6 +19,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.cell_shapes import nearest
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
@@ -413,8 +414,7 @@ def _on_split(
         values = np.take_along_axis(values, order[:, :, None, None], axis=1)
         places = np.take_along_axis(points.x.reshape(*size, spaces.dim), order[:, :, None, None], axis=1)
         own_places = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
-        nearest = np.square(own_places[:, :, :, None] - places[:, :, None]).sum(axis=4).argmin(axis=3)
-        by_point[dofs] = np.take_along_axis(values, nearest[..., None], axis=2)
+        by_point[dofs] = np.take_along_axis(values, nearest(own_places, places)[..., None], axis=2)
     return function
 
 

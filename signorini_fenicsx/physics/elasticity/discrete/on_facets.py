@@ -21,7 +21,7 @@ from dolfinx import la
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask, positions
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.data_values import check_means
@@ -387,10 +387,8 @@ def add_pulls(spaces: ElasticSpaces, pulls: Sequence[Pull], tractions: Array) ->
     on_contact = np.zeros((len(spaces.contact.facets), spaces.dim, spaces.dim))
     for pull in pulls:
         for facets, moments in ((spaces.neumann, tractions), (spaces.contact, on_contact)):
-            order = np.argsort(facets.facets)
-            common = np.flatnonzero(np.isin(pull.facets.facets, facets.facets))
-            rows = order[np.searchsorted(facets.facets, pull.facets.facets[common], sorter=order)]
-            moments[rows] += pull.moments[common]
+            common = np.isin(pull.facets.facets, facets.facets)
+            moments[positions(facets.facets, pull.facets.facets[common])] += pull.moments[common]
     return linear_values(on_contact, spaces.contact.measure)
 
 
