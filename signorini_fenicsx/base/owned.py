@@ -79,6 +79,19 @@ def function_of(space: fem.FunctionSpace, values: npt.ArrayLike, name: str | Non
     return function
 
 
+def function_at(
+    space: fem.FunctionSpace, dofs: npt.NDArray[np.integer], values: npt.ArrayLike, name: str | None = None
+) -> fem.Function:
+    """A function by its values at some degrees of freedom of this rank, 0 at the others, ghosts updated (collective).
+
+    In a space of vectors they are blocks, and a value is a vector.
+    """
+    function, size = fem.Function(space, name=name), space.dofmap.index_map_bs
+    (function.x.array if size == 1 else function.x.array.reshape(-1, size))[dofs] = values
+    function.x.scatter_forward()
+    return function
+
+
 def sums_at(
     index_map: common.IndexMap, numbers: npt.NDArray[np.integer], values: npt.ArrayLike = 1.0
 ) -> npt.NDArray[np.float64]:

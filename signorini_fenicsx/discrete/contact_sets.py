@@ -17,8 +17,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_of
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_at, function_of
 from signorini_fenicsx.base.parallel import passed_on
+from signorini_fenicsx.discrete.cell_shapes import nearest
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, curve_gap, of_unit_size, sampled
 
@@ -93,9 +94,8 @@ class Segments:
         """The u on another mesh of the domain, or on this one as it is (collective)."""
         if self.u is None or spaces.mesh is self.spaces.mesh:
             return self.u
-        u = fem.Function(fenicsx.function_space(self.spaces.mesh, ("DG", 1)), name="u")
-        u.x.array[cell_dofs(u.function_space)] = self.u
-        u.x.scatter_forward()
+        space = fenicsx.function_space(self.spaces.mesh, ("DG", 1))
+        u = function_at(space, cell_dofs(space), self.u, "u")
         (sample,) = sampled([u], spaces.mesh, self.spaces.domain)
         values = sample.x.array[sample.function_space.dofmap.list[: len(spaces.cell_measures)]]
         points = basix.make_quadrature(spaces.mesh.basix_cell(), QUADRATURE_DEGREE)[0]  # as many as vertices
@@ -166,13 +166,13 @@ def near_facets(values: Sequence[Array], source: MeshSpaces, target: MeshSpaces)
     size = target.Lambda.dofmap.index_map.size_local
     facets = target.Lambda.dofmap.list[:size, 0]
     places = np.einsum("qa,fai->fqi", hats, gamma.geometry.x[gamma.geometry.dofmaps[0][:size], :dim])
-    nearest = np.square(places[:, None] - target.corners[facets][:, :, None]).sum(axis=3).argmin(axis=2)
+    near = nearest(target.corners[facets], places)
     found = []
     for sample in samples:
         shape = sample.ufl_shape
         at_points = sample.x.array.reshape(-1, *shape)[sample.function_space.dofmap.list[:size]]
         rows = np.empty((size, dim, *shape))
-        rows[facets] = np.take_along_axis(at_points, nearest.reshape(*nearest.shape, *[1] * len(shape)), axis=1)
+        rows[facets] = np.take_along_axis(at_points, near.reshape(*near.shape, *[1] * len(shape)), axis=1)
         found.append(rows if by_vertex else rows[:, 0])
     return found
 

@@ -23,9 +23,9 @@ from ufl.constantvalue import ComplexValue
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, positions
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import owned_cells, owned_values
+from signorini_fenicsx.base.owned import function_at, owned_cells, owned_values
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.of_points import interpolated
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells
@@ -272,8 +272,7 @@ class OnFacets(Datum):
 
     def _look(self, points: Points, *, slope: bool) -> Array:
         assert isinstance(points, FacetPoints)
-        order = np.argsort(self.facets)
-        numbers = self.numbers[order[np.searchsorted(self.facets, points.facets, sorter=order)]]
+        numbers = self.numbers[positions(self.facets, points.facets)]
         shape = (*points.shape, points.mesh.geometry.dim) if slope else points.shape
         return np.zeros(shape) if slope else np.repeat(numbers[:, None], shape[1], axis=1)
 
@@ -411,9 +410,7 @@ def regional_datum(spaces: MeshSpaces, key: str, given: Given | Mapping[str, Giv
     number = len(spaces.cell_measures)
     parts, terms, values_given = [], [], np.zeros(number, dtype=np.int64)
     for name, value in given.items():
-        inside = fem.Function(spaces.Q, name=name)
-        inside.x.array[regions[name]] = 1.0
-        inside.x.scatter_forward()
+        inside = function_at(spaces.Q, regions[name], 1.0, name)
         datum = datum_of(spaces, f"{key}.{name}", value, continuous=False, matrix=matrix)
         parts.append((owned_values(inside) > 0, datum))
         terms.append((inside, datum.ufl))

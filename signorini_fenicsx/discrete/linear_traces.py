@@ -193,6 +193,10 @@ class LinearTraces(MeshSpaces):
         """The nodes at the vertices of the owned cells in this order, shape (cells, d + 1)."""
         return np.take_along_axis(super().nodes, self.order, axis=1)
 
+    def at_vertices(self, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+        """The degrees of freedom of linear functions on cells at the vertices of the owned cells in this order."""
+        return np.take_along_axis(cell_dofs(space), self.order, axis=1)
+
     @property
     def corners(self) -> Array:
         """The vertices of the facets of Γ_C in this order."""

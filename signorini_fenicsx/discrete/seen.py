@@ -22,8 +22,9 @@ from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, positions
 from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.discrete.cell_shapes import nearest
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces
 from signorini_fenicsx.discrete.mesh_spaces import assembled
@@ -150,7 +151,7 @@ def dofs_on_boundary(spaces: LinearTraces, facets: BoundaryFacets) -> npt.NDArra
     """The degrees of freedom of `on_boundary` at the vertices of facets, shape (facets, d)."""
     cells, corners = _on_boundary(spaces, facets)
     dofs: npt.NDArray[np.int32] = spaces.on_boundary[0].dofmap.list[cells]
-    return np.take_along_axis(dofs, _nearest(facets.vertices, corners), axis=1)
+    return np.take_along_axis(dofs, nearest(facets.vertices, corners), axis=1)
 
 
 def values_seen(spaces: LinearTraces, datum: Datum, facets: BoundaryFacets, points: FacetPoints, degree: int) -> Seen:
@@ -160,7 +161,7 @@ def values_seen(spaces: LinearTraces, datum: Datum, facets: BoundaryFacets, poin
     space = fenicsx.function_space(boundary, basix.ufl.quadrature_element(facet_type(spaces.dim), **rule))
     cells, corners = _on_boundary(spaces, facets)
     hats = np.column_stack([1 - points.points.sum(axis=1), points.points])
-    dofs = np.take_along_axis(space.dofmap.list[cells], _nearest(points.x, hats @ corners), axis=1).ravel()
+    dofs = np.take_along_axis(space.dofmap.list[cells], nearest(points.x, hats @ corners), axis=1).ravel()
     weights = facets.measure[:, None] * points.weights / points.weights.sum()
     return _seen(spaces, datum, facets, degree, space, dofs, weights.ravel())
 
@@ -171,15 +172,9 @@ def _on_boundary(spaces: LinearTraces, facets: BoundaryFacets) -> tuple[npt.NDAr
     boundary, dim = space.mesh, spaces.dim
     cells = np.arange(boundary.topology.index_map(dim - 1).size_local, dtype=np.int32)
     numbers = entity_map.sub_topology_to_topology(cells, inverse=False)
-    order = np.argsort(numbers)
-    of_facets = order[np.searchsorted(numbers, facets.facets, sorter=order)].astype(np.int32)
+    of_facets = positions(numbers, facets.facets).astype(np.int32)
     nodes = dolfinx.mesh.entities_to_geometry(boundary, dim - 1, of_facets)
     return of_facets, boundary.geometry.x[nodes, :dim]
-
-
-def _nearest(places: Array, among: Array) -> npt.NDArray[np.intp]:
-    """Which of some places is the nearest one on the same facet, shape (facets, places)."""
-    return np.square(places[:, :, None] - among[:, None]).sum(axis=3).argmin(axis=2)
 
 
 def _seen(

@@ -18,7 +18,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, inverted, scaled
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells
+from signorini_fenicsx.base.owned import cell_dofs, function_at, owned_cells
 from signorini_fenicsx.discrete.bernstein import coefficients_of, interpolation, nodes
 from signorini_fenicsx.discrete.cell_shapes import arms
 from signorini_fenicsx.discrete.data_values import check_means
@@ -111,10 +111,8 @@ class AddedFlux:
         (means, moments), y = self._moments, arms(mesh)
         spread = np.einsum("nvi,nvj->nij", y, y) / ((dim + 1) * (dim + 2))
         b = means[:, None] + np.einsum("nji,nik,nvk->nvj", moments, np.linalg.inv(spread), y)
-        less = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="driving")
-        less.x.array.reshape(-1, dim)[cell_dofs(less.function_space)] = flux.in_vertices() - b
-        less.x.scatter_forward()
-        return less
+        space = fenicsx.function_space(mesh, ("DG", 1, (dim,)))
+        return function_at(space, cell_dofs(space), flux.in_vertices() - b, "driving")
 
     def near(self, kappa: Datum) -> Array:
         """The quadratics near b, by their values in the nodes of the owned cells, shape (cells, nodes, dim).
@@ -140,12 +138,9 @@ class AddedFlux:
     def function(self, kappa: Datum) -> fem.Function:
         """The quadratics near b as a function (collective)."""
         mesh = self.spaces.mesh
-        b = fem.Function(fenicsx.function_space(mesh, ("DG", DEGREE, (mesh.topology.dim,))), name="b")
-        cell, space = mesh.basix_cell(), b.function_space
-        values = interpolation(cell, DEGREE, space.element.interpolation_points) @ self.near(kappa)
-        b.x.array.reshape(-1, values.shape[2])[cell_dofs(space)] = values
-        b.x.scatter_forward()
-        return b
+        space = fenicsx.function_space(mesh, ("DG", DEGREE, (mesh.topology.dim,)))
+        values = interpolation(mesh.basix_cell(), DEGREE, space.element.interpolation_points) @ self.near(kappa)
+        return function_at(space, cell_dofs(space), values, "b")
 
 
 def gravity(spaces: Spaces) -> AddedFlux:

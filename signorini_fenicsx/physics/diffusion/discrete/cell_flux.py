@@ -63,10 +63,7 @@ class CellFlux:
 
     def function(self) -> fem.Function:
         """The flux in RT0: −d|T|∇λ_i · (c − s y_i/d) goes through the facet opposite to x_i (collective)."""
-        spaces, sigma = self.spaces, fem.Function(self.spaces.V, name="sigma")
-        sigma.x.array[cell_dofs(spaces.V)] = self.leaving / spaces.outflow
-        sigma.x.scatter_forward()
-        return sigma
+        return self.spaces.out_of_cells(self.leaving)
 
     @property
     def divergence(self) -> Array:

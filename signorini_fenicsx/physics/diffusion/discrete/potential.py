@@ -18,7 +18,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, inverses, inverted, scaled, squares_of, times
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
+from signorini_fenicsx.base.owned import cell_dofs, function_at, owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.bernstein import basis, jet
 from signorini_fenicsx.discrete.cell_shapes import mean_moments, squared_arms
@@ -72,10 +72,8 @@ class Potential:
 
     def function(self) -> fem.Function:
         """ũ as a function, quadratic on each cell and not continuous (collective)."""
-        u = fem.Function(fenicsx.function_space(self.flux.spaces.mesh, ("DG", self.flux.spaces.degree + 2)), name="u")
-        u.x.array[cell_dofs(u.function_space)] = self.in_nodes(u.function_space.element.interpolation_points)
-        u.x.scatter_forward()
-        return u
+        space = fenicsx.function_space(self.flux.spaces.mesh, ("DG", self.flux.spaces.degree + 2))
+        return function_at(space, cell_dofs(space), self.in_nodes(space.element.interpolation_points), "u")
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_of, owned_values, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_at, function_of, owned_values, sums_at
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.sites import SiteKind, Sites
-from signorini_fenicsx.discrete.bernstein import exponents, interpolation
+from signorini_fenicsx.discrete.bernstein import exponents, interpolation, numbers_in
 from signorini_fenicsx.discrete.bernstein import nodes as bernstein_nodes
 from signorini_fenicsx.discrete.cell_shapes import corners, squared_arms
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces, opposite
@@ -97,6 +97,10 @@ class Spaces(MeshSpaces):
             dofs, opposite = self.fluxes_across
             sigma.x.array[dofs] = opposite * sigma.x.array[self.flux_dofs[self.inner.rows]]
             sigma.x.scatter_forward()
+
+    def out_of_cells(self, through: Array) -> fem.Function:
+        """The flux in RT0 with these ∫σ·n out of the owned cells through their facets (collective)."""
+        return function_at(self.V, cell_dofs(self.V), through / self.outflow, "sigma")
 
     def join_across(self, values: Array) -> None:
         """Make of a linear function of σ, given in all degrees of freedom, one of fluxes equal on both sides, in place.
@@ -194,14 +198,7 @@ class LinearSpaces(LinearTraces, Spaces):
     @cached_property
     def _places(self) -> Indices:
         """Which of `bernstein.nodes` of degree 2 each node of the owned cells is, see `raviart_thomas.nodes`."""
-        dim, twice = self.dim, exponents(SIMPLEX[self.dim], 2)  # the barycentric coordinates
-        digits = 3 ** np.arange(dim + 1)
-        place = np.empty(3 ** (dim + 1), dtype=np.int64)
-        place[twice @ digits] = np.arange(len(twice))
-        in_order = np.rint(2 * nodes(dim)).astype(np.int64)
-        by_dolfinx = np.zeros((len(self.order), *in_order.shape), dtype=np.int64)
-        np.put_along_axis(by_dolfinx, np.broadcast_to(self.order[:, None], by_dolfinx.shape), in_order[None], axis=2)
-        return np.asarray(place[by_dolfinx @ digits])
+        return numbers_in(exponents(SIMPLEX[self.dim], 2), self.order, np.rint(2 * nodes(self.dim)).astype(np.int64))
 
     @cached_property
     def _maps(self) -> tuple[Array, Array, npt.NDArray[np.uint32]]:
@@ -215,10 +212,7 @@ class LinearSpaces(LinearTraces, Spaces):
 
     def flux(self, values: Array) -> fem.Function:
         """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
-        sigma = fem.Function(self.flux_space, name="sigma")
-        sigma.x.array[cell_dofs(self.flux_space)] = self._coefficients(values)
-        sigma.x.scatter_forward()
-        return sigma
+        return function_at(self.flux_space, cell_dofs(self.flux_space), self._coefficients(values), "sigma")
 
     def _coefficients(self, values: Array) -> Array:
         """DOLFINx's coefficients of a flux with these values at the nodes of the owned cells, cell by cell."""
@@ -270,14 +264,11 @@ class LinearSpaces(LinearTraces, Spaces):
 
     def scalar(self, values: Array) -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1) (collective)."""
-        u = fem.Function(self.scalar_space, name="u")
-        u.x.array[np.take_along_axis(cell_dofs(self.scalar_space), self.order, axis=1)] = values
-        u.x.scatter_forward()
-        return u
+        return function_at(self.scalar_space, self.at_vertices(self.scalar_space), values, "u")
 
     def scalar_values(self, u: fem.Function) -> Array:
         """The values of such a function at the vertices of the owned cells."""
-        return u.x.array[np.take_along_axis(cell_dofs(self.scalar_space), self.order, axis=1)]
+        return u.x.array[self.at_vertices(self.scalar_space)]
 
     def through(self, facets: BoundaryFacets, values: Array) -> Array:
         """σ·n at the vertices of boundary facets, shape (facets, d), of values at the nodes."""

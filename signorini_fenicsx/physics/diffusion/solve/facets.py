@@ -5,13 +5,12 @@ from functools import cached_property
 
 import numpy as np
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
 from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.owned import cell_nodes, owned_values
+from signorini_fenicsx.base.owned import cell_nodes, function_at, owned_values
 from signorini_fenicsx.contact.backend import DataBackend, Iterate
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.mesh_spaces import assembled
@@ -61,12 +60,9 @@ class FacetBackend(DataBackend):
         If the flux changes by δσ on a facet, p changes on every Γ_S facet of the same cell: by (κ_h⁻¹δσ, τ_h), where
         τ_h is the basis function of that Γ_S facet.
         """
-        spaces = self.spaces
-        change = fem.Function(spaces.V)
+        spaces, sigma = self.spaces, iterate.sigma.copy()
         added = -iterate.flux * spaces.facet_measure / spaces.basis_flux
-        change.x.array[spaces.flux_dofs[where]] = added[where]
-        change.x.scatter_forward()
-        sigma = iterate.sigma.copy()
+        change = function_at(spaces.V, spaces.flux_dofs[where], added[where])
         sigma.x.array[:] += change.x.array
         moved = assembled(spaces.kept(_trace_of_flux, self.data.kappa_h, change))
         p = iterate.p + moved[spaces.flux_dofs] / spaces.basis_flux

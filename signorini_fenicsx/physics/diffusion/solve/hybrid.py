@@ -141,7 +141,7 @@ class HybridBackend(FacetBackend, FluxBackend):
 
         Values that are prescribed are exact.
         """
-        spaces, data, flux = self.spaces, self.data, self._flux(sigma)
+        spaces, data, flux = self.spaces, self.data, self.spaces.out_of_cells(sigma)
         through = spaces.normal_flux(flux) - data.q_Sh
         p, through = self._with_cells(self._x, conditions, through)
         on_facets = (self.facets.of(through) + data.q_Sh) * spaces.facet_measure
@@ -153,13 +153,6 @@ class HybridBackend(FacetBackend, FluxBackend):
             cells = self.cells.of(conditions)
             u = np.where(cells.kind == Condition.ZERO_TRACE, data.inside.as_linear(cells)[1], u)
         return Iterate(p, through, self._iterations, flux, function_of(spaces.Q, u, "u"))
-
-    def _flux(self, through: Array) -> fem.Function:
-        """The flux with these ∫σ·n out of the owned cells through their facets (collective)."""
-        sigma = fem.Function(self.spaces.V, name="sigma")
-        sigma.x.array[cell_dofs(self.spaces.V)] = through / self.spaces.outflow
-        sigma.x.scatter_forward()
-        return sigma
 
     def respond(self, conditions: SiteConditions, loads: Loads) -> tuple[fem.Function, fem.Function, Array]:
         """Solve with any right side under conditions, whose values do not matter; the last solution stays (collective).
@@ -176,6 +169,6 @@ class HybridBackend(FacetBackend, FluxBackend):
             return self.system.everywhere(self.solve_homogeneous(conditions, load).array_r)
 
         through, u, x = self.system.respond(loads, solve=solve)
-        sigma = self._flux(through)
+        sigma = self.spaces.out_of_cells(through)
         self.spaces.carry_across(sigma)
         return sigma, function_of(self.spaces.Q, u, "u"), x[: len(self.system.load)]

@@ -16,7 +16,7 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, original_cells
+from signorini_fenicsx.base.owned import cell_nodes, function_at, original_cells
 from signorini_fenicsx.contact.sites import SiteKind, Sites
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces, opposite
 from signorini_fenicsx.discrete.mesh_spaces import build_mesh_spaces
@@ -275,16 +275,11 @@ class ElasticSpaces(LinearTraces):
 
     def displacement(self, values: Array) -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d) (collective)."""
-        function = fem.Function(self.displacements, name="u")
-        nodes = np.take_along_axis(cell_dofs(self.displacements), self.order, axis=1)
-        function.x.array.reshape(-1, self.dim)[nodes] = values
-        function.x.scatter_forward()
-        return function
+        return function_at(self.displacements, self.at_vertices(self.displacements), values, "u")
 
     def displacement_values(self, function: fem.Function) -> Array:
         """Values of a displacement at the vertices of the owned cells."""
-        nodes = np.take_along_axis(cell_dofs(self.displacements), self.order, axis=1)
-        return function.x.array.reshape(-1, self.dim)[nodes]
+        return function.x.array.reshape(-1, self.dim)[self.at_vertices(self.displacements)]
 
     def tractions(self, facets: BoundaryFacets, stresses: Array) -> Array:
         """σn at the vertices of boundary facets, shape (facets, d, d), of values as in `SplitMesh.values`."""
