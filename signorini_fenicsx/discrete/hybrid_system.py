@@ -20,7 +20,9 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.discrete.matrices import OfCells, identity_with, of_cells
+from signorini_fenicsx.linear.constrained_matrix import image_of
 
 
 class Sides:
@@ -51,31 +53,21 @@ class Sides:
 
     def values(self, x: Array) -> Array:
         """û from the unknowns x of this rank, ghosts too, which are no jumps (collective)."""
-        return x if self.basis is None else np.append(self._image(self.basis.mult, x), x[self._owned :])
+        return x if self.basis is None else np.append(image_of(self.basis, x[: self._owned]), x[self._owned :])
 
     def forces(self, forces: Array) -> Array:
         """The forces on the owned unknowns x, from those on û (collective)."""
-        return forces if self.basis is None else self._image(self.basis.multTranspose, forces)
+        return forces if self.basis is None else image_of(self.basis, forces, transposed=True)
 
     def of_unknowns(self, matrix: PETSc.Mat) -> PETSc.Mat:
         """A matrix for the unknowns x, from one for û (collective)."""
         return matrix if self.basis is None else matrix.ptap(self.basis)
 
-    def _image(self, product: Callable[[PETSc.Vec, PETSc.Vec], None], x: Array) -> Array:
-        assert self.basis is not None
-        start, image = self.basis.createVecs()
-        start.array_w[:] = x[: self._owned]
-        product(start, image)
-        values: Array = image.array_r.copy()
-        start.destroy()
-        image.destroy()
-        return values
-
     def unknowns(self, traces: Array) -> Array:
         """The owned unknowns x from û there (collective)."""
         if (inverse := self.inverse()) is None:
             return traces
-        x = self._image(inverse.mult, traces)
+        x = image_of(inverse, traces)
         inverse.destroy()
         return x
 
@@ -274,6 +266,11 @@ class TraceSystem(ABC):
         """The sum of matrices of cells, for the unknowns (collective)."""
         return self.sides.of_unknowns(of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], parts))
 
+    def gathered(self, of_cells: Array) -> Array:
+        """Numbers for the unknowns û of each owned cell, added up for the owned unknowns x (collective)."""
+        sums = sums_at(self._numbers, self._dofs, of_cells.reshape(*self._dofs.shape, self._size))
+        return self.sides.forces(sums.ravel()[: self._size * self._numbers.size_local])
+
     def everywhere(self, owned: Array) -> Array:
         """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
         x = la.vector(self._numbers, self._size)
@@ -331,17 +328,11 @@ class HybridSystem(TraceSystem):
 
     def load_of(self, blocks: Sequence[Eliminated], lift: Array | None = None) -> Array:
         """The right side for x − lift, without given fluxes: owned entries (collective)."""
-        load = la.vector(self._numbers, self._size)
+        of_cells = np.zeros((len(self._dofs), self._dofs.shape[1] * self._size))
         for block in blocks:
-            load.array[:] += np.bincount(self._unknowns(block.cells).ravel(), block.load.ravel(), len(load.array))
-        load.scatter_reverse(la.InsertMode.add)
-        forces = self.sides.forces(load.array[: self._size * self._numbers.size_local])
-        if lift is not None:
-            x, image = self.matrix.createVecs()
-            x.array_w[:] = lift[: len(forces)]
-            self.matrix.mult(x, image)
-            forces -= image.array_r
-        return forces
+            of_cells[block.cells] = block.load
+        forces = self.gathered(of_cells)
+        return forces if lift is None else forces - image_of(self.matrix, lift[: len(forces)])
 
     def recover(
         self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None

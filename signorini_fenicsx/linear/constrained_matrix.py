@@ -127,6 +127,18 @@ class ConstrainedMatrix:
             matrix.zeroRowsColumns(essential + first)
 
 
+def image_of(matrix: PETSc.Mat, values: Array, *, transposed: bool = False) -> Array:
+    """The product of a matrix, or of its transpose, with values of the owned unknowns (collective)."""
+    right, left = matrix.createVecs()
+    start, image = (left, right) if transposed else (right, left)
+    start.array_w[:] = values
+    (matrix.multTranspose if transposed else matrix.mult)(start, image)
+    found = np.array(image.array_r)
+    for vector in (right, left):
+        vector.destroy()
+    return found
+
+
 def assemble_again(assembled: PETSc.Mat, form: fem.Form, basis: PETSc.Mat | None, natural: PETSc.Mat) -> None:
     """Assemble a matrix again by a form with the same sparsity pattern, and Tᵀ(…)T of it if there is a T (collective).
 

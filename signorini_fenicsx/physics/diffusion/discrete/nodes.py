@@ -17,9 +17,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.base.owned import owned_values, set_owned, sums_at
 from signorini_fenicsx.certificate.opposite import Opposite
 from signorini_fenicsx.discrete.bernstein import degree_of, nodes, nodes_of
+from signorini_fenicsx.discrete.cell_shapes import nearest
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.facet_coefficients import FacetCoefficients, in_order
@@ -33,6 +34,7 @@ from signorini_fenicsx.discrete.points import (
     from_inside,
     in_facets,
 )
+from signorini_fenicsx.linear.constrained_matrix import image_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 
@@ -161,10 +163,7 @@ class Jumps:
         """The transpose of `basis` times values of the owned nodes (collective)."""
         if self.basis is None:
             return values
-        right, left = self.basis[0].createVecs()
-        left.array_w[:] = values
-        self.basis[0].multTranspose(left, right)
-        return right.array_r.copy()
+        return image_of(self.basis[0], values, transposed=True)
 
 
 type _Entries = tuple[Indices, Indices, Array]
@@ -254,11 +253,7 @@ def _somewhere(space: fem.FunctionSpace, nodes: Entities) -> Mask:
 
 
 def _apply(matrix: PETSc.Mat, v: fem.Function) -> None:
-    right, left = matrix.createVecs()
-    right.array_w[:] = v.x.array[: right.getLocalSize()]
-    matrix.mult(right, left)
-    v.x.array[: left.getLocalSize()] = left.array_r
-    v.x.scatter_forward()
+    set_owned(v, image_of(matrix, owned_values(v)))
 
 
 def _over_places(space: fem.FunctionSpace, pairs: tuple[Entities, Entities], values: Array) -> Array:
@@ -276,6 +271,5 @@ def _in_pairs(space: fem.FunctionSpace, named: Entities, across: Entities) -> tu
     """The nodes of facets, and for each the node in the same place of the facet that lies on it."""
     at = nodes(facet_type(space.mesh.topology.dim), degree_of(space))
     places = [in_facets(space.mesh, facets, at).x for facets in (named, across)]
-    order = np.linalg.norm(places[0][:, :, None] - places[1][:, None], axis=3).argmin(axis=2)
     of_named, of_across = (facet_nodes(space, facets) for facets in (named, across))
-    return of_named, np.take_along_axis(of_across, order, axis=1)
+    return of_named, np.take_along_axis(of_across, nearest(*places), axis=1)

@@ -16,7 +16,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.mesh_spaces import owned_on_facets
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix, image_of
 from signorini_fenicsx.linear.two_level import TwoLevel, choose_smoother, facet_vertices
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.uniform import parents
@@ -166,11 +166,9 @@ class AuxiliarySpace:
         """The springs of the facets of Γ_S that are not held, shared out to their vertices (collective)."""
         unknown = self._spaces.site_kinds["facet"].unknown[~held]
         stiff, natural = (each.getDiagonal().array_r[unknown] for each in (self._facets.matrix, self._system.matrix))
-        lumped, of_facets = self._interpolation.createVecs()
-        of_facets.set(0.0)
-        of_facets.array_w[unknown] = np.where(stiff > natural * (1 + ROUNDING), stiff - natural, 0.0)
-        self._interpolation.multTranspose(of_facets, lumped)
-        return np.asarray(lumped.array_r)
+        of_facets = np.zeros(len(self._system.load))
+        of_facets[unknown] = np.where(stiff > natural * (1 + ROUNDING), stiff - natural, 0.0)
+        return image_of(self._interpolation, of_facets, transposed=True)
 
 
 def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc.Mat:

@@ -19,7 +19,7 @@ from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Sides, copies
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
-from signorini_fenicsx.linear.constrained_matrix import assemble_again
+from signorini_fenicsx.linear.constrained_matrix import assemble_again, image_of
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.sources import sources
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -106,22 +106,13 @@ class FacetSystem(SoilTraces):
         y = owned_values(self.sources.b)
         if self.sources.s is not None:
             y = y - owned_values(self.sources.s) * self.sources.jumps
-        per_facet = (y * spaces.cell_measures / self._dofs.shape[1])[:, None]
+        per_facet = np.repeat((y * spaces.cell_measures / self._dofs.shape[1])[:, None], self._dofs.shape[1], axis=1)
         if self._jumps is not None:
             per_facet = per_facet - self._flow(self._jumps)
-        load = self._forces(per_facet)
+        load = self.gathered(per_facet)
         load[sites.unknown] += data.q_Sh * sites.measure
         load[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
-        lift, image = self.matrix.createVecs()
-        lift.array_w[:] = self.lift[: len(load)]
-        self.matrix.mult(lift, image)
-        self.load = load - image.array_r
-        for vector in (lift, image):
-            vector.destroy()
-
-    def _forces(self, through: Array) -> Array:
-        """Numbers of the facets of the owned cells, added up for the owned unknowns (collective)."""
-        return self.sides.forces(sums_at(self._numbers, self._dofs, through)[: self._numbers.size_local])
+        self.load = load - image_of(self.matrix, self.lift[: len(load)])
 
     def renew(self, data: Data) -> bool:
         """Go on with other data; whether the matrix stays (collective)."""
@@ -209,7 +200,7 @@ class FacetSystem(SoilTraces):
         Returns:
             σ and u as `recover` gives them, and x.
         """
-        x = solve(loads.forces - self._forces(self._through(loads.jumps, loads)[0]))
+        x = solve(loads.forces - self.gathered(self._through(loads.jumps, loads)[0]))
         return *self._through(loads.jumps + self.traces_on_cells(x), loads), x
 
     def _through(self, values: Array, loads: Loads) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_cells, owned_values
+from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
@@ -30,7 +30,7 @@ from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import Points, cell_quadrature
 from signorini_fenicsx.discrete.seen import dofs_on_boundary
 from signorini_fenicsx.forms.mixed import flux_equation, flux_product, load, mass_balance, trace_term
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix, image_of
 from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import joined
@@ -72,23 +72,19 @@ class LinearMixedBackend(VertexBackend):
         self.dofs = self._system.matrix.getSize()[0]
         self._unknowns = self._of(spaces.contact).ravel()
         self._fixed = self._of(spaces.dirichlet).ravel()
-        self._lift, self._load, self._x, self._b = (self._system.matrix.createVecRight() for _ in range(4))
-        for vector in (self._lift, self._load):
-            vector.set(0.0)
+        self._x, self._b = self._system.matrix.createVecs()
+        lift, load = np.zeros((2, int(self._ends[2])))
         for facets in (spaces.contact, spaces.dirichlet, spaces.neumann):
             rows, of_data = self._of(facets), spaces.unknowns(facets)
-            self._lift.array_w[rows] = data.lift[of_data]
-            self._load.array_w[rows] = -data.load[of_data]
-        moments = fem.Function(spaces.scalar_space)
-        dofs = np.take_along_axis(cell_dofs(spaces.scalar_space), spaces.order, axis=1)
+            lift[rows], load[rows] = data.lift[of_data], -data.load[of_data]
+        moments, dofs = fem.Function(spaces.scalar_space), spaces.at_vertices(spaces.scalar_space)
         for numbers in blocks_of_cells(spaces.mesh):
             moments.x.array[dofs[numbers]] = data.moments_of_f(spaces, numbers, Cells(spaces.vertices[numbers]))
-        self._load.array_w[self._ends[0] : self._ends[1]] = -moments.x.array[: sizes[1]]
+        load[self._ends[0] : self._ends[1]] = -moments.x.array[: sizes[1]]
         if data.b is not None:
             of_b = assembled(spaces.kept(_of_b, _b_in_points(spaces, data, data.b)))
-            self._load.array_w[: sizes[0]] += of_b[: sizes[0]]
-        self._system.natural.mult(self._lift, self._b)
-        self._load.axpy(-1.0, self._b)
+            load[: sizes[0]] += of_b[: sizes[0]]
+        self._load = load - image_of(self._system.natural, lift)
         self._solver = direct_solver(self._system.matrix, "lu", "mixed_")
 
     def _of(self, facets: BoundaryFacets) -> npt.NDArray[np.int32]:
@@ -127,8 +123,7 @@ class LinearMixedBackend(VertexBackend):
         system.impose(essential, sites.repeat(spaces.dim), added, by_row.ravel())
         x.set(0.0)
         x.array_w[sites] = np.where(held, values, 0.0)
-        system.natural.mult(x, b)
-        b.aypx(-1.0, self._load)
+        b.array_w[:] = self._load - image_of(system.natural, x.array_r)
         flux = np.where(conditions.kind == Condition.NO_FLUX, values, 0.0) + springs.pressure(np.zeros(self.sites))
         b.array_w[sites] -= kind.measure * flux
         b.array_w[essential] = x.array_r[essential]
@@ -353,16 +348,13 @@ class MixedBackend(FacetBackend):
     def _right_side(self) -> Array:
         """Right side for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""
         spaces, data, size = self.spaces, self.data, self._flux_size
-        lift, right = self._system.natural.createVecs()
-        lift.set(0.0)
-        lift.array_w[:size] = data.sigma_lift.x.array[:size]
-        self._system.natural.mult(lift, right)
-        right.scale(-1.0)
-        right.array_w[:size] += assembled(spaces.kept(_traces, data.u_lift))[:size]
+        lift = np.append(data.sigma_lift.x.array[:size], np.zeros(len(self._cells)))
+        right = -image_of(self._system.natural, lift)
+        right[:size] += assembled(spaces.kept(_traces, data.u_lift))[:size]
         if (jumps := data.jumps(spaces)) is not None:  # (κ_h⁻¹b, τ)
-            right.array_w[:size] += joined(spaces, spaces.outflow * jumps)[:size]
-        right.array_w[size:] -= assembled(spaces.kept(_load, data.f_h))[: len(self._cells)]
-        return right.array_r.copy()
+            right[:size] += joined(spaces, spaces.outflow * jumps)[:size]
+        right[size:] -= assembled(spaces.kept(_load, data.f_h))[: len(self._cells)]
+        return right
 
     def _fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
         """σ_h − σ_lift and u_h (collective)."""

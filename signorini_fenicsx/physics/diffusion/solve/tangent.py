@@ -4,6 +4,7 @@ The residual is that of the hybrid system with the κ of û, and its derivative 
 ∫σ·n by κ times that of κ by û. Beside what the equations leave, the sites may be off their laws.
 """
 
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.contact.chains import Chains, SiteConditions
+from signorini_fenicsx.linear.constrained_matrix import image_of
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.linear.petsc import LinearSolver, direct_solver
 
@@ -157,7 +159,7 @@ class Tangent:
         backend = self._backend
         matrix, fixed, free, of_fixed, load = self._parts(conditions)
         self._unit = np.maximum(unit, matrix.getDiagonal().array_r)
-        left = (self._times(matrix, free) + self._times(backend.natural, of_fixed) - load) / self._unit
+        left = (image_of(matrix, free) + image_of(backend.natural, of_fixed) - load) / self._unit
         left[fixed] = of_fixed[fixed]
         values = np.concatenate([left, backend.off_laws(conditions)])
         self.left = backend.comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
@@ -168,7 +170,7 @@ class Tangent:
         backend, system = self._backend, self._backend.system
         tangent = system.of_cells(system.by_kappa(backend.x) @ slopes)
         matrix, fixed, free, of_fixed, load = self._parts(conditions)
-        right = load - self._times(matrix, free) + self._times(tangent, of_fixed)
+        right = load - image_of(matrix, free) + image_of(tangent, of_fixed)
         tangent.axpy(1.0, matrix, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         right[fixed] = -of_fixed[fixed]
         backend.solves += 1
@@ -199,24 +201,13 @@ class Tangent:
                 preconditioner.apply(b, x)
                 return np.array(x.array_r)
 
-            return gmres(self._backend.comm, lambda values: self._times(tangent, values), right, precondition)[0]
+            return gmres(self._backend.comm, partial(image_of, tangent), right, precondition)[0]
         solver = direct_solver(tangent, "lu", "tangent_")
         b, x = tangent.createVecs()
         b.array_w[:] = right
         solver.solve(b, x)
         found = np.array(x.array_r)
         for each in (solver.ksp, tangent, b, x):
-            each.destroy()
-        return found
-
-    @staticmethod
-    def _times(matrix: PETSc.Mat, values: Array) -> Array:
-        """A product (collective)."""
-        x, image = matrix.createVecs()
-        x.array_w[:] = values
-        matrix.mult(x, image)
-        found = np.array(image.array_r)
-        for each in (x, image):
             each.destroy()
         return found
 

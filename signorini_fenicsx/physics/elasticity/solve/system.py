@@ -8,7 +8,6 @@ from hashlib import blake2b
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
@@ -104,11 +103,7 @@ class ElasticSystem(HybridSystem):
     def pulls_of_means(self, means: Array) -> Array:
         """⟨mn, q⟩ summed over the cells for each owned unknown (collective)."""
         assert self.mean is not None
-        pulls = la.vector(self._numbers, self._size)
-        cells = np.arange(len(means), dtype=np.int32)
-        np.add.at(pulls.array, self._unknowns(cells), self.mean.pulls(means))
-        pulls.scatter_reverse(la.InsertMode.add)
-        return self.sides.forces(pulls.array[: self._size * self._numbers.size_local])
+        return self.gathered(self.mean.pulls(means))
 
     def means(self, x: Array, wanted: Array) -> tuple[Array, float]:
         """What all unknowns of this rank add to the mean pressures, see `MeansOfCells.of` (collective)."""

@@ -21,7 +21,7 @@ from signorini_fenicsx.discrete.mesh_spaces import assembled, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
 from signorini_fenicsx.forms.primal import gradient, mass, vertex_weight
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix, image_of
 from signorini_fenicsx.linear.petsc import LinearSolver, direct_solver
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -81,7 +81,7 @@ class P1System:
         lift = self._psi.copy()
         lift[self.dirichlet] = u_D[self.dirichlet]
         given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
-        self.load = self._owned(load(data.f_h, v, ufl.dx) + given_flux) - self._product(self._stiffness, lift)
+        self.load = self._owned(load(data.f_h, v, ufl.dx) + given_flux) - image_of(self._stiffness, lift)
         self.load[self.dirichlet] = u_D[self.dirichlet]
         self._above_bound = u_D[self.dirichlet] > psi[self.dirichlet]
         self._solver = direct_solver(self._system.matrix, "cholesky", "primal_")
@@ -118,7 +118,7 @@ class P1System:
 
     def times(self, u: Array) -> Array:
         """`matrix` times u (collective)."""
-        return self._product(self.matrix, u)
+        return image_of(self.matrix, u)
 
     def dot(self, u: Array, v: Array) -> float:
         """Σ u_i v_i over all ranks (collective)."""
@@ -126,7 +126,7 @@ class P1System:
 
     def energy_norm(self, u: Array) -> float:
         """((κ_h∇u, ∇u) + (c_h u, u))^½ (collective)."""
-        return math.sqrt(max(self.dot(u, self._product(self._stiffness, u)), 0.0))
+        return math.sqrt(max(self.dot(u, image_of(self._stiffness, u)), 0.0))
 
     def residual(self, u: Array, eps: float = 0.0) -> float:
         """Natural residual of (VI) in P1, or of (P_ε) if ε > 0; scale-free (collective).
@@ -174,11 +174,6 @@ class P1System:
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
         return Iterate(p=p, flux=flux, linear_iterations=1, sigma=sigma, u=means)
 
-    def _product(self, matrix: PETSc.Mat, u: Array) -> Array:
-        self._x.array_w[:] = u
-        matrix.mult(self._x, self._b)
-        return self._b.array_r.copy()
-
     @cached_property
     def _facet_vertices(self) -> Indices:
         """Vertices of each Γ_S facet, owned or ghost, shape (facets, d): those of its cell without the opposite one."""
@@ -201,13 +196,11 @@ class P1Change:
         trial, test = ufl.TrialFunction(system.space), ufl.TestFunction(system.space)
         self._mass = assemble_matrix(fenicsx.form(mass(trial, test, ufl.dx)))
         self._mass.assemble()
-        self._change, self._image = self._mass.createVecs()
 
     def __call__(self, change: Array) -> tuple[float, float]:
         """The norms of a change (collective)."""
-        self._change.array_w[:] = change
-        self._mass.mult(self._change, self._image)
-        return self._system.energy_norm(change), math.sqrt(max(self._change.dot(self._image), 0.0))
+        square = self._system.dot(change, image_of(self._mass, change))
+        return self._system.energy_norm(change), math.sqrt(max(square, 0.0))
 
 
 class P1History(History):
