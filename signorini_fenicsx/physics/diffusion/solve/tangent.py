@@ -5,7 +5,7 @@ The residual is that of the hybrid system with the κ of û, and its derivative 
 """
 
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,36 +30,6 @@ TRUSTED = 3
 """In time steps are as long as soils allow, without a search, until the residual has not fallen in so many of them."""
 
 
-class Tangible(Protocol):
-    """What Newton's method needs of a backend besides `Backend`."""
-
-    comm: MPI.Comm
-    data: Any
-    spaces: Any
-    solves: int
-
-    @property
-    def x(self) -> PETSc.Vec:
-        """The unknowns."""
-
-    @property
-    def natural(self) -> PETSc.Mat:
-        """The matrix without conditions."""
-
-    @property
-    def system(self) -> Any:
-        """Gives `on_cells`, `by_kappa` and `of_cells`, in time with soils `limited`."""
-
-    def take_kappa(self, data: Any) -> None:
-        """Go on with the same data but for κ (collective)."""
-
-    def imposed(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array]:
-        """The matrix under conditions, the unknowns that they fix, their values, and the right side (collective)."""
-
-    def off_laws(self, conditions: SiteConditions) -> Array:
-        """How far the sites are off their laws, as a p (collective)."""
-
-
 class Tangent:
     """Newton's method from the x of a backend.
 
@@ -77,10 +47,10 @@ class Tangent:
         """Begin at the last solution of the backend (collective).
 
         Args:
-            backend: See `Tangible`; its data get the κ of each step.
+            backend: A `FluxBackend`; its data get the κ of each step.
             solver: Its linear solver, whose preconditioner is that of the matrix under the present conditions.
         """
-        self._backend: Tangible = backend
+        self._backend = backend
         self._least, self._unit, self._last = np.inf, np.empty(0), np.empty(0)
         self._iterates, self._preconditioner = solver.iterates, solver.preconditioner
 
