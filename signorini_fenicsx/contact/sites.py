@@ -64,9 +64,18 @@ class SiteKind:
         """What an array, conditions or chains of all sites have for these: a view."""
         return values[self.at]
 
+    @property
+    def called(self) -> str:
+        """What the sites are called in results."""
+        return "vertices" if self.shape else f"{self.name}s"
+
     def rows_of(self, values: np.ndarray) -> np.ndarray:
         """The values of these sites by facet or cell, of an array of all sites, shape (rows, *shape, …)."""
         return self.of(values).reshape(len(self.rows), *self.shape, *values.shape[1:])
+
+    def numbers(self, rows: Indices) -> Indices:
+        """The numbers of the sites of some rows, if all rows have sites."""
+        return np.arange(len(self)).reshape(self.count, *self.shape)[rows].ravel()
 
     def spread(self, rows: np.ndarray, others: float = 0.0) -> np.ndarray:
         """Rows of its facets as rows of all facets of Γ_S, with one number on the others; the same for cells."""

@@ -240,21 +240,20 @@ def by_state(
     }
 
 
-def by_part(
-    spaces: MeshSpaces, laws: Iterable[Any], segment: Indices, sites: str
-) -> dict[str, dict[str, dict[str, float]]]:
+def by_part(spaces: MeshSpaces, laws: Iterable[Any], segment: Indices) -> dict[str, dict[str, dict[str, float]]]:
     """Number and measure of the sites on each segment of a law, by part and name of the segment (collective).
 
     Args:
         spaces: The spaces, with the names of the parts.
         laws: The laws with their parts.
         segment: The segment that each facet of Γ_S, or each vertex of these, is on.
-        sites: What these sites are called.
     """
     states, (kind, *_) = {}, spaces.site_kinds
     part_of_site = np.repeat(spaces.part_of_facet, math.prod(kind.shape))
     for law in (each.law for each in laws):
         for part in law.parts:
             on = part_of_site == spaces.part_names.index(part)
-            states[part] = by_state(spaces.mesh.comm, law.segments, law.named(segment[on]), kind.measure[on], sites)
+            states[part] = by_state(
+                spaces.mesh.comm, law.segments, law.named(segment[on]), kind.measure[on], kind.called
+            )
     return states

@@ -165,6 +165,13 @@ def means_of_linear(values: Array) -> Array:
     return (values + values.sum(axis=1, keepdims=True)) / (values.shape[1] + 1)
 
 
+def squares_of(measure: Array, values: Array) -> float:
+    """∫v² of a v that is constant on each simplex, or linear by its values at the vertices, shape (simplices, …)."""
+    rows = values if values.ndim > 1 else values[:, None]
+    size = rows.shape[1]
+    return float(measure @ ((rows**2).sum(axis=1) + rows.sum(axis=1) ** 2) / (size * (size + 1)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class LinearTraces(MeshSpaces):
     """Spaces with traces that are linear on each facet.

@@ -9,20 +9,18 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part, by_state
+from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show import linear_shown
-from signorini_fenicsx.physics.diffusion.solution import Solution, corners_passed
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 
 
@@ -97,26 +95,6 @@ class LinearSolution(Solution):
         """σ_h·n on the mesh of Γ_S, linear on each facet (collective)."""
         return self.spaces.linear_multiplier(self.flux_at)
 
-    @cached_property
-    def _norms(self) -> dict[str, float]:
-        """The norms that `norms` copies (collective when first used)."""
-        spaces, flux, dim = self.spaces, self.cell_flux, self.spaces.dim
-        in_cells, on_facets = spaces.cell_measures / ((dim + 1) * (dim + 2)), spaces.facet_measure / (dim * (dim + 1))
-        squares = [
-            flux.squares(1.0).sum(),
-            *(
-                measure @ ((values**2).sum(axis=1) + values.sum(axis=1) ** 2)
-                for measure, values in (
-                    (in_cells, flux.divergence),
-                    (in_cells, cell_values(self.u)),
-                    (on_facets, self.p_at),
-                    (on_facets, self.flux_at),
-                )
-            ),
-        ]
-        norms = np.sqrt(spaces.mesh.comm.allreduce(np.array(squares))).tolist()
-        return dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2", "flux_L2"), norms, strict=True))
-
     @property
     def touching(self) -> Mask:
         """Mask of the facet vertices in contact, shape (facets, d)."""
@@ -126,11 +104,6 @@ class LinearSolution(Solution):
     def contact_set(self) -> FacetSet:
         """The Γ_S facets with a vertex in contact."""
         return FacetSet(self.spaces, self.touching.any(axis=1))
-
-    @collector_off()
-    def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
-        return by_part(self.spaces, self.data.laws.of_parts, self.segments().of("facet"), "vertices")
 
     @property
     def cell_segments(self) -> Indices:
@@ -157,57 +130,17 @@ class LinearSolution(Solution):
 
     @property
     def force_at(self) -> Array:
-        """λ_h at the vertices of the owned cells, see `force`, shape (cells, d + 1)."""
+        """See `Solution.force_at`."""
+        if not self.data.inside:
+            return np.zeros_like(self.u_values)
         return np.asarray(self.spaces.site_kinds["cell"].rows_of(self.iterate.flux))
 
-    @collector_off()
-    def force(self) -> fem.Function:
-        """λ_h, linear on each cell: the linear function that has the moments of −∇·σ_h − f + cu_h (collective).
+    def _beside_corners(self, part: PartLaw) -> tuple[Array, Array]:
+        laws = at_vertices(self.spaces, replace(self.data.inside, of_regions=(part,)))
+        sites = self.spaces.site_kinds["cell"].numbers(part.rows)
+        return (laws.chains.p + laws.p_h[:, None])[sites], means_of_linear(self.u_values).ravel()[sites]
 
-        It is exactly what the law says at vertices on flat segments, such as 0 off an obstacle.
-        """
-        zero = np.zeros((len(self.spaces.order), self.spaces.dim + 1))
-        force = self.spaces.scalar(self.force_at if self.data.inside else zero)
-        force.name = "force"
-        return force
-
-    @collector_off()
-    def in_regions(self) -> dict[str, dict[str, Any]]:
-        """Number and measure of the vertices of cells on each segment of each law in Ω (collective)."""
-        kind, laws, states = self.spaces.site_kinds["cell"], self.data.inside, {}
-        for part in laws.of_regions:
-            segment, measure = part.law.named(self.segments_of_law(part)), kind.measure[self._sites(part)]
-            states[part.name] = by_state(self.spaces.mesh.comm, part.law.segments, segment, measure, "vertices")
-        return states
-
-    def _sites(self, part: PartLaw) -> Indices:
-        """The vertices of its cells, as sites of the kind "cell"."""
-        size = self.spaces.dim + 1
-        return np.asarray((size * part.rows[:, None] + np.arange(size)).ravel())
-
-    def segments_of_law(self, part: PartLaw) -> Indices:
-        """The segment of one law in Ω that each vertex of its cells is on (collective)."""
-        laws, sites = self.data.inside, self._sites(part)
-        if len(laws.of_regions) == 1:
-            return self.segments().of("cell")[sites]
-        alone = at_vertices(self.spaces, replace(laws, of_regions=(part,)))
-        means = means_of_linear(self.spaces.scalar_values(self.u)).ravel()
-        return corners_passed((alone.chains.p + alone.p_h[:, None])[sites], means[sites])
-
-    @collector_off()
-    def on_obstacle(self) -> dict[str, float]:
-        """Number of the cells in contact, and by vertices the measure of the contact and ∫λ_h (collective)."""
-        kind = self.spaces.site_kinds["cell"]
-        held = kind.of(self.outcome.conditions.kind == Condition.ZERO_TRACE)
-        local = np.array([self.held_cells.sum(), kind.measure @ held, kind.measure @ kind.of(self.iterate.flux)])
-        cells, measure, force = self.spaces.mesh.comm.allreduce(local).tolist()
-        return {"contact_cells": int(cells), "contact_measure": measure, "force": force}
-
-    @collector_off()
-    def violation(self) -> dict[str, float]:
-        """The error by ε in the Signorini condition at facet vertices, see `Solution.violation` (collective)."""
-        kind, laws = self.spaces.site_kinds["facet"], self.data.laws_at
-        values = self.iterate.means - laws.p_h, self.flux_at.ravel() - laws.flux_h
-        squares = [kind.measure @ np.minimum(each, 0) ** 2 for each in values]
-        trace, flux = np.sqrt(self.spaces.mesh.comm.allreduce(np.array(squares))).tolist()
-        return {"trace": trace, "flux": flux}
+    @property
+    def _above(self) -> tuple[Array, Array]:
+        laws = self.data.laws_at
+        return self.iterate.means - laws.p_h, self.flux_at.ravel() - laws.flux_h

@@ -13,15 +13,17 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, owned_values, sums_at
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state
+from signorini_fenicsx.discrete.linear_traces import squares_of
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, in_points, means_in_cells
+from signorini_fenicsx.physics.diffusion.discrete.cell_laws import corners_passed
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.discrete.potential import Potential
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -36,16 +38,6 @@ from signorini_fenicsx.physics.diffusion.show.states import sizes
 from signorini_fenicsx.physics.diffusion.show.water import balance, discharges, in_words, of_step
 from signorini_fenicsx.solution import Solution as AnySolution
 from signorini_fenicsx.solving.solved import Columns
-
-SAME = 1e-9
-"""Relative distance of u from a corner of a law that is rounding."""
-
-
-def corners_passed(corners: Array, u: Array) -> Indices:
-    """The segment that u is on, by the u of the corners of a law, shape (sites, corners); of jumps the jump."""
-    near = SAME * np.maximum(np.abs(u[:, None]), np.abs(corners))
-    below, at = (corners < u[:, None] - near).sum(axis=1), np.abs(corners - u[:, None]) <= near
-    return np.asarray(below + np.where(at.sum(axis=1) > 1, 1, 0))
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -197,11 +189,10 @@ class Solution(AnySolution):
     def _norms(self) -> dict[str, float]:
         """The norms that `norms` copies (collective when first used)."""
         spaces, flux = self.spaces, self.cell_flux
-        p, flux_n = self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma)
         squares = [
             flux.squares(1.0).sum(),
-            *(spaces.cell_measures @ values**2 for values in (flux.divergence, owned_values(self.u))),
-            *(spaces.facet_measure @ values**2 for values in (p, flux_n)),
+            *(squares_of(spaces.cell_measures, values) for values in (flux.divergence, self.u_values)),
+            *(squares_of(spaces.facet_measure, values) for values in (self.p_at, self.flux_at)),
         ]
         norms = np.sqrt(spaces.mesh.comm.allreduce(np.array(squares))).tolist()
         return dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2", "flux_L2"), norms, strict=True))
@@ -215,13 +206,13 @@ class Solution(AnySolution):
         at whose midpoints the exact u is ψ. With obstacles in Ω the measure of the cells where one of u and u_h only is
         on one takes the place of the error of ∇·σ.
         """
-        spaces, data, exact = self.spaces, self.data, self.data.exact
+        exact, laws = self.data.exact, self.data.inside
         if exact is None:
             return None
         norms = exact_errors(self, exact)
-        if not data.inside.bounds_alone:
-            return norms
-        return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, self.held_cells)}
+        if laws.bounds_alone:
+            norms["missed_contact"] = missed_contact(self.spaces, laws, exact, self.held_cells)
+        return norms
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition: where a law holds u that leaves it open."""
@@ -260,48 +251,57 @@ class Solution(AnySolution):
         number, total, squares = sums[: index_map.size_local].T
         return np.flatnonzero((number == 2) & (2 * squares != total**2)).astype(np.int32)
 
+    @property
+    def force_at(self) -> Array:
+        """λ_h on the owned cells, see `force`; of RT1 at their vertices, shape (cells, d + 1)."""
+        if not self.data.inside:
+            return np.zeros_like(self.u_values)
+        beta, load = self.data.inside.as_linear(self.cell_conditions)
+        held = np.isinf(beta)
+        by_law = load - np.where(held, 0.0, beta) * owned_values(self.u)
+        return np.where(held, -self.divergences - owned_values(self.data.source(self.u)), by_law)
+
     @collector_off()
     def force(self) -> fem.Function:
-        """λ_h = −s = −∇·σ_h − f_h + c_h u_h in P0 for the s of the laws in Ω: of an obstacle its force (collective).
+        """λ_h = −s of the laws in Ω, of an obstacle its force, with the moments of −∇·σ_h − f + cu_h (collective).
 
-        It is exactly what the law says in cells on flat and sloped segments, such as 0 off an obstacle.
+        It is exactly what the law says in cells on flat and sloped segments, such as 0 off an obstacle; with RT1, where
+        it is linear on each cell, at vertices on flat segments.
         """
-        laws, force = self.data.inside, fem.Function(self.spaces.Q, name="force")
-        if laws:
-            divergence = self.cell_flux.divergence
-            beta, load = laws.as_linear(self.cell_conditions)
-            held = np.isinf(beta)
-            by_law = load - np.where(held, 0.0, beta) * owned_values(self.u)
-            set_owned(force, np.where(held, -divergence - owned_values(self.data.source(self.u)), by_law))
+        force = self.spaces.scalar(self.force_at)
+        force.name = "force"
         return force
 
     @collector_off()
     def in_regions(self) -> dict[str, dict[str, Any]]:
         """Number and measure of the cells on each segment of each law in Ω, by "law.0" and so on (collective).
 
-        The laws are listed as in the problem; an obstacle by its key is "obstacle".
+        The laws are listed as in the problem; an obstacle by its key is "obstacle". With RT1 the vertices are counted.
         """
-        states: dict[str, dict[str, Any]] = {}
-        spaces, laws = self.spaces, self.data.inside
-        for part in laws.of_regions:
-            segment, measure = part.law.named(self.segments_of_law(part)), spaces.cell_measures[part.rows]
-            states[part.name] = by_state(spaces.mesh.comm, part.law.segments, segment, measure, "cells")
+        states, kind = {}, self.spaces.site_kinds["cell"]
+        for part in self.data.inside.of_regions:
+            segment, measure = part.law.named(self.segments_of_law(part)), kind.measure[kind.numbers(part.rows)]
+            states[part.name] = by_state(self.spaces.mesh.comm, part.law.segments, segment, measure, kind.called)
         return states
 
     def segments_of_law(self, part: PartLaw) -> Indices:
-        """The segment of one law in Ω that each of its cells is on (collective)."""
-        laws, rows = self.data.inside, part.rows
-        if len(laws.of_regions) == 1:
-            return self.segments().of("cell")[rows]
+        """The segment of one law in Ω that each of its cells is on, or with RT1 each of their vertices (collective)."""
+        if len(self.data.inside.of_regions) == 1:
+            return self.segments().of("cell")[self.spaces.site_kinds["cell"].numbers(part.rows)]
+        return corners_passed(*self._beside_corners(part))
+
+    def _beside_corners(self, part: PartLaw) -> tuple[Array, Array]:
+        """The u of the corners of a law in Ω at its sites, and the u there (collective)."""
         chains = np.concatenate([part.chains(points).p for points in part.quadrature(self.spaces, 1)])
-        return corners_passed(chains, owned_values(self.u)[rows])
+        return chains, owned_values(self.u)[part.rows]
 
     @collector_off()
     def on_obstacle(self) -> dict[str, float]:
-        """Number and measure of the cells in contact with the obstacle, and ∫λ_h (collective)."""
-        comm, measures, held = self.spaces.mesh.comm, self.spaces.cell_measures, np.flatnonzero(self.held_cells)
-        local = np.array([len(held), measures[held].sum(), measures @ owned_values(self.force())])
-        cells, measure, force = comm.allreduce(local).tolist()
+        """Number of the cells in contact with the obstacle, the measure of their sites, and ∫λ_h (collective)."""
+        kind = self.spaces.site_kinds["cell"]
+        held = kind.of(self.outcome.conditions.kind == Condition.ZERO_TRACE)
+        local = np.array([self.held_cells.sum(), kind.measure @ held, kind.measure @ self.force_at.ravel()])
+        cells, measure, force = self.spaces.mesh.comm.allreduce(local).tolist()
         return {"contact_cells": int(cells), "contact_measure": measure, "force": force}
 
     @property
@@ -324,20 +324,23 @@ class Solution(AnySolution):
 
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
-        return by_part(self.spaces, self.data.laws.of_parts, self.segments().of("facet"), "facets")
+        """Number and measure of the Γ_S facets, or vertices, on each segment, by part and its name (collective)."""
+        return by_part(self.spaces, self.data.laws.of_parts, self.segments().of("facet"))
+
+    @property
+    def _above(self) -> tuple[Array, Array]:
+        """How far p is above ψ, and σ·n above q_S, at the facets, or at their vertices as sites."""
+        return self.p_at - self.data.psi_h, self.flux_at - self.data.q_Sh
 
     @collector_off()
     def violation(self) -> dict[str, float]:
         """The error by ε in the Signorini condition, ‖[p − ψ]_-‖_Λ and ‖[σ·n − q_S]_-‖_Λ, or in (9b) (collective)."""
-        spaces, data = self.spaces, self.data
-        gap = self.p.x.array[: len(spaces.facets)] - data.psi_h
-        excess = spaces.normal_flux(self.sigma) - data.q_Sh
-        negative = [spaces.facet_measure @ np.minimum(values, 0) ** 2 for values in (gap, excess)]
+        spaces, kind = self.spaces, self.spaces.site_kinds["facet"]
+        negative = [kind.measure @ np.minimum(values, 0) ** 2 for values in self._above]
         trace, flux = np.sqrt(spaces.mesh.comm.allreduce(np.array(negative))).tolist()
         left = {"trace": trace, "flux": flux}
         if self.method.stabilised:
-            imbalance = ufl.div(self.sigma) + data.source(self.u)
+            imbalance = ufl.div(self.sigma) + self.data.source(self.u)
             left["mass_balance"] = float(np.sqrt(spaces.integrate(l2(imbalance, ufl.dx))))
         return left
 

@@ -238,7 +238,7 @@ class ElasticSolution(Solution):
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
-        return by_part(self.spaces, self.data.laws.of_parts, self.segment, "vertices")
+        return by_part(self.spaces, self.data.laws.of_parts, self.segment)
 
     @cached_property
     def balance(self) -> tuple[Array, float]:

@@ -32,6 +32,8 @@ from signorini_fenicsx.physics.diffusion.problem import Problem
 
 ROUNDING = 1e-12
 """Relative size by which u_D may be beyond a bound."""
+SAME = 1e-9
+"""Relative distance of u from a corner of a law that is rounding."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,13 @@ def cells_of(spaces: Spaces, law: Law, name: str) -> Indices:
             meant = did_you_mean(region, regions)
             raise InputError(f"{name}.region: unknown region '{region}' of the mesh; {which}{meant}")
     return np.unique(np.concatenate([regions[region] for region in law.region])).astype(np.int64)
+
+
+def corners_passed(corners: Array, u: Array) -> Indices:
+    """The segment that u is on, by the u of the corners of a law, shape (sites, corners); of jumps the jump."""
+    near = SAME * np.maximum(np.abs(u[:, None]), np.abs(corners))
+    below, at = (corners < u[:, None] - near).sum(axis=1), np.abs(corners - u[:, None]) <= near
+    return np.asarray(below + np.where(at.sum(axis=1) > 1, 1, 0))
 
 
 def at_vertices(spaces: LinearSpaces, laws: CellLaws) -> VertexLaws:
