@@ -154,24 +154,24 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     flux, trace, condition = stored.on_facets(mesh.comm, "flux", "p", "condition")
     sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
     sigma.x.scatter_forward()
-    p, remembered = spaces.multiplier(trace), Remembered.among(spaces, problem.laws)
+    remembered = Remembered.among(spaces, problem.laws)
     if remembered.laws:
         if "facet_remembered" not in stored.arrays:
             raise InputError("not a readable solution (it holds no facet_remembered)")
         problem = replace(problem, laws=remembered.in_step(problem.laws, *stored.on_facets(mesh.comm, "remembered")))
     memory = None if stored.step is None else spaces.scalar(stored.in_cells(spaces, "memory"))
     data = _as_left(project_data(spaces, problem), spaces, memory, stored)
-    trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
+    above, flux = trace - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
-    iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u)
-    segment = law.nearest(condition.astype(np.int8), trace, flux)
+    iterate = Iterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u)
+    segment = law.nearest(condition.astype(np.int8), above, flux)
     iterate, conditions = with_cells(spaces, data, iterate, segment, options.method.penalty, options.eps)
     return Solution(
         spaces=spaces,
         data=data,
-        p=p,
+        p=spaces.multiplier(trace),
         outcome=stored.outcome(iterate, conditions),
-        kkt=kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps),
+        kkt=kkt_residuals(spaces, data, sigma, u, trace, options.method.penalty, options.eps),
         **{**stored.about, "problem": problem},
     )
 

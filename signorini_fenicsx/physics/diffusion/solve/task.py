@@ -108,7 +108,7 @@ class DiffusionTask(Task):
 
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
         """KKT residuals of an iterate (collective)."""
-        p = self.spaces.multiplier(self.spaces.site_kinds["facet"].of(iterate.p) + self.data.psi_h)
+        p = self.spaces.site_kinds["facet"].of(iterate.p) + self.data.psi_h
         return kkt_residuals(self.spaces, self.present, iterate.sigma, iterate.u, p, penalty, self.eps)
 
 
