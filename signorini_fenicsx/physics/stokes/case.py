@@ -9,7 +9,6 @@ from signorini_fenicsx.cases.case import CaseFile, Cost
 from signorini_fenicsx.cases.complaints import told
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
-from signorini_fenicsx.cases.pairs import OF_LAWS
 from signorini_fenicsx.cases.parts import PartLists
 from signorini_fenicsx.cases.plot import OF_FLOWS
 from signorini_fenicsx.cases.values import (
@@ -22,18 +21,11 @@ from signorini_fenicsx.cases.values import (
 )
 from signorini_fenicsx.contact.law import NO_DATA, Law
 from signorini_fenicsx.contact.laws import Corners
-from signorini_fenicsx.physics.elasticity.case import check_solve
-from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
+from signorini_fenicsx.physics.elasticity.case import OF_DATA, check_solve
 from signorini_fenicsx.physics.stokes.problem import INSIDE, Leak, Outflow, Slip, StokesProblem, of_laws, velocities
 
 COSTS = {2: Cost(4, 1e4, 4.8e3, 2.4e3), 3: Cost(9, 4.5e4, 390, 170)}
 """Those of bodies, and the solves that keep the volume of cells besides; an order of magnitude."""
-OF_DATA = OF_LAWS | {
-    GivenVector: Vector,
-    GivenVectorByPart: VectorByPart,
-    GivenByPart: ExpressionByPart,
-    GivenViscosity: ExpressionByRegion,
-}
 KINDS: Mapping[str, type] = {kind.word: kind for kind in (Outflow, Slip, Leak, Corners)}
 
 
