@@ -8,6 +8,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, times
 from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.discrete.lattices import numbers_in
 
 
 @cache
@@ -33,18 +34,10 @@ def exponents(cell: basix.CellType, degree: int) -> Indices:
     return np.rint(degree * np.column_stack([1 - x.sum(axis=1), x])).astype(np.int64)
 
 
-def numbers_in(listed: Indices, order: Indices, wanted: Indices) -> Indices:
-    """Which of listed points of a simplex others are, if the vertices have other numbers, shape (n, wanted).
-
-    Args:
-        listed: Points by whole barycentric coordinates, shape (points, vertices).
-        order: For n simplices the number that each vertex has there.
-        wanted: The others likewise.
-    """
-    base, vertices = listed.max(initial=0) + 1, listed.shape[1]
-    digits, number_of = base ** np.arange(vertices), np.zeros(base**vertices, dtype=np.int64)
-    number_of[listed @ digits] = np.arange(len(listed))
-    return number_of[digits[order] @ wanted.T]
+def renumbered(cell: basix.CellType, degree: int, order: Indices, points: Indices) -> Indices:
+    """Which node each point of the lattice is in simplices whose vertices have other numbers, shape (n, points)."""
+    number_of = np.argsort(numbers_in(exponents(cell, degree), degree))
+    return np.asarray(number_of[numbers_in(points[:, np.argsort(order, axis=1)], degree)].T)
 
 
 def basis(cell: basix.CellType, degree: int, points: Array, *, slopes: bool = False) -> Array:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.bernstein import exponents, nodes, numbers_in
+from signorini_fenicsx.discrete.bernstein import exponents, nodes, renumbered
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
 
@@ -136,5 +136,5 @@ def in_order(ranking: Indices, degree: int) -> Indices:
         ranking: See `Hats`, shape (facets, d).
         degree: Of the points.
     """
-    steps = exponents(SIMPLEX[ranking.shape[1] - 1], degree)
-    return numbers_in(steps, ranking, steps)
+    cell = SIMPLEX[ranking.shape[1] - 1]
+    return renumbered(cell, degree, ranking, exponents(cell, degree))

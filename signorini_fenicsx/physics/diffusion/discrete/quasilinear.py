@@ -52,10 +52,6 @@ class OnCells(Datum):
     on_cells: Array
 
     @property
-    def number(self) -> None:
-        """None: it is not one number."""
-
-    @property
     def polynomial(self) -> int:
         """0 or 1."""
         return int(self.on_cells.shape[1] > 1)

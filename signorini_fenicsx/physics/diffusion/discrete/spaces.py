@@ -18,7 +18,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_at, function_of, owned_values, sums_at
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.sites import SiteKind, Sites
-from signorini_fenicsx.discrete.bernstein import exponents, interpolation, numbers_in
+from signorini_fenicsx.discrete.bernstein import interpolation, renumbered
 from signorini_fenicsx.discrete.bernstein import nodes as bernstein_nodes
 from signorini_fenicsx.discrete.cell_shapes import corners, squared_arms
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces, opposite
@@ -198,7 +198,7 @@ class LinearSpaces(LinearTraces, Spaces):
     @cached_property
     def _places(self) -> Indices:
         """Which of `bernstein.nodes` of degree 2 each node of the owned cells is, see `raviart_thomas.nodes`."""
-        return numbers_in(exponents(SIMPLEX[self.dim], 2), self.order, np.rint(2 * nodes(self.dim)).astype(np.int64))
+        return renumbered(SIMPLEX[self.dim], 2, self.order, np.rint(2 * nodes(self.dim)).astype(np.int64))
 
     @cached_property
     def _maps(self) -> tuple[Array, Array, npt.NDArray[np.uint32]]:
