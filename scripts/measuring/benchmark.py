@@ -62,6 +62,7 @@ class Run:
         seconds_of_bound: Those of the bound besides; of ours alone.
         bound: The bound; of ours alone.
         energy: ½a(u, u) − b(u); of the others alone.
+        processor: Seconds of the processor; of the others alone.
     """
 
     program: str
@@ -74,6 +75,7 @@ class Run:
     seconds_of_bound: float = 0.0
     bound: float = float("nan")
     energy: float = float("nan")
+    processor: float = float("nan")
 
 
 def benchmark(

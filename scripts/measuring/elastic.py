@@ -126,7 +126,9 @@ def beside_p2(dim: int, sizes: tuple[int, ...]) -> None:
     for program, lines in others.items():
         for n, line in zip(sizes, lines, strict=True):
             error = (2 * (line["energy"] + exact)) ** 0.5
-            say(f"{program:13s} {n:4d} {line['unknowns']:8d} {line['seconds']:8.2f} {line['steps']} steps {error:.2e}")
+            say(
+                f"{program:13s} {n:4d} {line['unknowns']:8d} {line['processor']:8.2f} {line['steps']} steps {error:.2e}"
+            )
 
 
 def elastic(
