@@ -2,9 +2,9 @@
 
 In DOLFINx's cache the file `<form>.c` means that some process compiles the form, and `<form>.c.cached` that the form is
 ready. A process that is killed in between leaves only the first file, and all later runs wait for the second one in
-vain. Here one process at a time loads or compiles a form: it holds a lock on a file of the cache, which the system
-releases when the process dies, on all nodes that see the cache. So a form for which it would have to wait has been left
-behind, and is compiled again.
+vain. Here each process that loads or compiles a form shares a lock on a file of the cache, which the system releases
+when the process dies, on all nodes that see the cache. Who has to wait for a form takes the lock alone, so that nobody
+compiles: then the form is ready, or it has been left behind, and is compiled again.
 """
 
 import contextlib
@@ -19,28 +19,28 @@ from typing import Any
 import cffi
 
 LOCK = "signorini.lock"
+PATIENCE = 600
+"""Seconds to wait for a form that is not ready: where there are no locks, and until another node sees its file."""
 
 
-def alone(work: Callable[[], Any], cache: Path) -> Any:
-    """Load a form, or compile it, while no other process does.
+def patiently(work: Callable[[int], Any], cache: Path) -> Any:
+    """Load a form, or compile it; wait while another process compiles it.
 
     Args:
-        work: Loads it, or compiles it; it waits a moment for a form that another process seems to compile.
+        work: Loads it, or compiles it; it waits so many seconds for a form that another process seems to compile.
         cache: Folder of the cache.
 
     Raises:
         OSError: If there is no working C compiler, or the cache cannot be used.
     """
-    with in_a_sentence(cache), _lock(cache) as is_held:
-        try:
-            return work()
-        except TimeoutError:
-            if not is_held:
-                raise
-        for form in cache.glob("*.c"):
-            if not form.with_suffix(".c.cached").exists():
-                form.unlink()
-        return work()
+    with in_a_sentence(cache):
+        with _lock(cache, fcntl.LOCK_SH), contextlib.suppress(TimeoutError):
+            return work(1)
+        with _lock(cache, fcntl.LOCK_EX) as is_held:
+            for form in cache.glob("*.c") if is_held else ():
+                if not form.with_suffix(".c.cached").exists():
+                    form.unlink()
+            return work(PATIENCE)
 
 
 @contextlib.contextmanager
@@ -61,7 +61,7 @@ def in_a_sentence(cache: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _lock(cache: Path) -> Iterator[bool]:
+def _lock(cache: Path, kind: int) -> Iterator[bool]:
     """Hold the lock of a cache, and tell whether it is held: not if nothing can be written, or there are no locks."""
     with contextlib.ExitStack() as opened:
         is_held = False
@@ -69,6 +69,6 @@ def _lock(cache: Path) -> Iterator[bool]:
             cache.mkdir(parents=True, exist_ok=True)
             file = os.open(cache / LOCK, os.O_CREAT | os.O_RDONLY, 0o666)
             opened.callback(os.close, file)
-            fcntl.flock(file, fcntl.LOCK_EX)
+            fcntl.flock(file, kind)
             is_held = True
         yield is_held

@@ -8,7 +8,7 @@ while a function of this module runs; forms that the user makes are compiled as 
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.compiling import alone, in_a_sentence
+from signorini_fenicsx.base.compiling import PATIENCE, in_a_sentence, patiently
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.local_options import JSON, unseen
 from signorini_fenicsx.base.owned import original_cells
@@ -36,8 +36,6 @@ OWN = "signorini_fenicsx"
 OF_DOLFINX, OF_FFCX = JSON
 NEEDED = {"language": "C", "scalar_type": "float64", "sum_factorization": False, "part": "full"}
 """Options of FFCx without which no form of this program is compiled, or not all of it."""
-PATIENCE = 60
-"""Seconds until a file that rank 0 has written is seen on the other nodes, at most."""
 LOADED: dict[str, Any] = {}
 """The forms that this process has loaded or compiled, by signature of form and options."""
 FEW = 10
@@ -180,14 +178,17 @@ def compiled(
     if "cache_dir" not in (jit_options or {}):
         options["cache_dir"] = Path(options["cache_dir"]) / OWN
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
-    cache, options["timeout"] = options["cache_dir"], 1 if comm.rank == 0 else PATIENCE
-    work = partial(_compile_here, ufl_object, form_compiler_options, options)
-    module = on_root_only(comm, lambda: _kept(signature, lambda: alone(work, cache)))
+    cache = options["cache_dir"]
+
+    def work(timeout: int) -> Any:
+        return _compile_here(ufl_object, form_compiler_options, options | {"timeout": timeout})
+
+    module = on_root_only(comm, lambda: _kept(signature, lambda: patiently(work, cache)))
     failure: OSError | None = None
     if comm.rank != 0:
         try:
             with in_a_sentence(cache):
-                module = _kept(signature, work)
+                module = _kept(signature, lambda: work(PATIENCE))
         except OSError as error:
             failure = error
     failures = [error for error in comm.allgather(failure) if error is not None]
