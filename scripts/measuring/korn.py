@@ -34,7 +34,7 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
 )
 from signorini_fenicsx.rigorous.discrete import MeshCells as EnclosedCells
 from signorini_fenicsx.rigorous.elasticity.loads import MOMENTS, PROVED
-from signorini_fenicsx.rigorous.elasticity.stress import along_tree, solved, stresses_of, wrench_of_load, wrenches
+from signorini_fenicsx.rigorous.elasticity.stress import along_tree, solved, stresses_of, wrench_of_moments, wrenches
 from signorini_fenicsx.rigorous.simplices import root, simplices, total
 
 
@@ -371,7 +371,7 @@ class Loaded:
         roots[0, 0] = True
         x, closed = enclosing(mesh.vertices), np.zeros_like(self.inside)
         exact = [
-            along_tree(mesh, closed, roots, pulls[n] + near[n], wrench_of_load(x, moments[n], origin), origin)
+            along_tree(mesh, closed, roots, pulls[n] + near[n], wrench_of_moments(x, moments[n], origin), origin)
             for n in range(len(near))
         ]
         return self._of(Interval(*(np.stack([getattr(each, end) for each in exact]) for end in ("lo", "hi"))), moments)
@@ -394,7 +394,7 @@ class Loaded:
         vectors = np.einsum("ncsve,vw->ncswe", (entries.lo + entries.hi) / 2, hats)
         x = enclosing(self.mesh.vertices)
         on_facets = x[slice(None), opposite(dim)]
-        wrench = total(wrenches(on_facets, pulls, origin), axis=2) + wrench_of_load(x, moments, origin)
+        wrench = total(wrenches(on_facets, pulls, origin), axis=2) + wrench_of_moments(x, moments, origin)
         scale = np.sqrt(self.cells.measure.hi[0] / size)
         return vectors.reshape(count, -1) * scale, ((wrench.lo + wrench.hi) / 2).reshape(count, -1)
 

@@ -10,6 +10,8 @@ SIMPLEX = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.Cell
 """By dimension."""
 FEW_POINTS_UP_TO = {basix.CellType.interval: -1, basix.CellType.triangle: 30, basix.CellType.tetrahedron: 15}
 """Largest degree of the quadratures of Xiao and Gimbutas."""
+EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
+"""By dimension the vertices of the edges, as Basix and DOLFINx number these."""
 
 
 def positive_quadrature(cell: basix.CellType, degree: int) -> tuple[Array, Array]:

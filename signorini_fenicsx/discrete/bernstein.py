@@ -9,6 +9,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Indices, times
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.lattices import numbers_in
+from signorini_fenicsx.expressions import Tree, values
 
 
 @cache
@@ -122,6 +123,12 @@ def jet(coefficients: Array, barycentric: Array, slopes: Array | None = None) ->
     form = np.broadcast_to(form, (len(form), barycentric.shape[1], form.shape[2]))
     value = np.einsum("npv,npv->np", form, np.broadcast_to(barycentric, form.shape))[:, :, None]
     return value if slopes is None else np.concatenate([value, degree * times(form, slopes)], axis=2)
+
+
+def in_nodes(tree: Tree, vertices: Array, degree: int = 2) -> Array:
+    """Values in the nodes of polynomials of a degree on simplices, shape (n, nodes)."""
+    shares = exponents(SIMPLEX[vertices.shape[1] - 1], degree) / degree
+    return values(tree, shares @ vertices)
 
 
 def to_bernstein(function: fem.Function) -> None:

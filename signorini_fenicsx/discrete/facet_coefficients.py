@@ -72,12 +72,7 @@ class FacetCoefficients:
 
         Shapes (parts, d, d) and (parts, coefficients, coefficients). An edge is one part.
         """
-        corners = np.eye(self.facets.vertices.shape[2])[None]
-        for _ in range(HALVINGS if corners.shape[1] == 3 else 0):
-            a, b, c = (corners[:, i] for i in range(3))
-            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-            quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
-            corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
+        corners = parts_of_facet(self.facets.vertices.shape[2])
         return corners, self.restricted(corners)
 
     def restricted(self, corners: Array) -> Array:
@@ -127,6 +122,17 @@ class FacetCoefficients:
         where = in_order(self.facets.ranking, self.degree)
         at_points = np.take_along_axis(values, where.reshape(*where.shape, *[1] * (values.ndim - 2)), axis=1)
         return np.einsum("kp,np...->nk...", np.linalg.inv(self.basis(points)), at_points)
+
+
+def parts_of_facet(dim: int) -> Array:
+    """The corners of the parts of a facet by barycentric coordinates, which are exact; an edge is one part."""
+    corners = np.eye(dim)[None]
+    for _ in range(HALVINGS if dim == 3 else 0):
+        a, b, c = (corners[:, i] for i in range(3))
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+        corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
+    return corners
 
 
 def in_order(ranking: Indices, degree: int) -> Indices:

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.expressions.series import Remainder
-from signorini_fenicsx.expressions.simplices import Parts, edges
+from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.expressions.taylor import Regions, Switch, expanded
 from signorini_fenicsx.expressions.tree import Tree
 
@@ -194,7 +194,7 @@ def _by_sizes(vertices: Array, sizes: Callable[[Array], Array]) -> tuple[Mask, I
     An edge is cut where a linear size is the geometric mean of those at its ends: (x − x_0)² is 0 there if it is 0 on
     the edge. First come edges with a far smaller size in this place, then those with the largest ratio of their ends.
     """
-    pairs = np.array(edges(vertices.shape[1]))
+    pairs = np.column_stack(np.triu_indices(vertices.shape[1], 1))
     with np.errstate(all="ignore"):
         a, b = np.moveaxis(sizes(vertices)[:, pairs], 2, 0)
         place = np.nan_to_num((np.sqrt(a * b) - a) / (b - a), nan=0.5)

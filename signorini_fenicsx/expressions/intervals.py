@@ -140,6 +140,10 @@ class Interval:
         """The interval with ends broadcast to this shape."""
         return Interval(np.array(np.broadcast_to(self.lo, shape)), np.array(np.broadcast_to(self.hi, shape)))
 
+    def reshape(self, *shape: int) -> Interval:
+        """The interval with ends of another shape."""
+        return Interval(self.lo.reshape(shape), self.hi.reshape(shape))
+
     def where(self, mask: Mask, other: Interval) -> Interval:
         """The interval itself where the mask is True, the other one elsewhere."""
         return Interval(np.where(mask, self.lo, other.lo), np.where(mask, self.hi, other.hi))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, inverses
-from signorini_fenicsx.base.reference_cells import SIMPLEX, orthonormal
+from signorini_fenicsx.base.reference_cells import EDGES, SIMPLEX, orthonormal
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.evaluation import Intervals, values
 from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth, enclosing, stacked
@@ -77,19 +77,17 @@ class Quadratic:
         return at
 
 
-def quadratic(vertices: Array, at_vertices: Array, at_midpoints: Array) -> Quadratic:
-    """The quadratic with given values.
+def quadratic(vertices: Array, nodes: Array) -> Quadratic:
+    """The quadratics with given values in the nodes of P2: vertices, then the midpoints of `EDGES`, shape (n, nodes).
 
-    Args:
-        vertices: Vertices of n simplices of dimension k, shape (n, k + 1, d).
-        at_vertices: Values there, shape (n, k + 1).
-        at_midpoints: Values in the midpoints of edges, in the order of `edges`, shape (n, (k + 1)k/2).
+    The vertices are those of n simplices of dimension k, shape (n, k + 1, d).
     """
     corners = vertices.shape[1]
+    at_vertices, at_midpoints = np.split(nodes, [corners], axis=1)
     slopes = barycentric_gradients(vertices)
     # p = Σ a_v λ_v + 4 Σ_{v<w} b_vw λ_v λ_w, where b_vw is the value in the midpoint minus the mean of the ends
     bend = np.zeros((len(vertices), corners, corners), order="F")
-    for column, (v, w) in enumerate(edges(corners)):
+    for column, (v, w) in enumerate(EDGES[corners - 1]):
         bend[:, v, w] = bend[:, w, v] = 4 * (at_midpoints[:, column] - (at_vertices[:, v] + at_vertices[:, w]) / 2)
     value = at_vertices.mean(axis=1) + bend.sum(axis=(1, 2)) / (2 * corners**2)
     gradient = np.einsum("nv,nvi->ni", at_vertices + bend.sum(axis=2) / corners, slopes)
@@ -102,11 +100,10 @@ def interpolated(tree: Tree, vertices: Array) -> Quadratic:
     The points are nodes of P2 moved inside. So data that jump between simplices are taken from the right side.
     """
     centre = vertices.mean(axis=1, keepdims=True)
-    ends = np.array(edges(vertices.shape[1])).T
+    first, second = np.array(EDGES[vertices.shape[1] - 1]).T
     corners = centre + INSIDE * (vertices - centre)
-    midpoints = (corners[:, ends[0]] + corners[:, ends[1]]) / 2
-    in_nodes = [values(tree, x) for x in (corners, midpoints)]
-    return quadratic(corners, *in_nodes)
+    midpoints = (corners[:, first] + corners[:, second]) / 2
+    return quadratic(corners, values(tree, np.concatenate([corners, midpoints], axis=1)))
 
 
 def constant(means: Array, dim: int) -> Quadratic:
@@ -115,20 +112,14 @@ def constant(means: Array, dim: int) -> Quadratic:
 
 
 def bernstein(p: Quadratic, vertices: Array) -> Array:
-    """Bernstein coefficients of quadratics, shape (n, nodes); every value is a weighted mean of them."""
-    corners = vertices.shape[1]
-    first, second = np.array(edges(corners)).T
+    """Bernstein coefficients of quadratics, in the order of nodes of P2; every value is a weighted mean of them."""
+    first, second = np.array(EDGES[vertices.shape[1] - 1]).T
     arms = vertices - vertices.mean(axis=1, keepdims=True)
     slope = np.einsum("nvi,ni->nv", arms, p.gradient)
     bend = np.einsum("nvi,niw->nvw", arms, np.einsum("nij,nwj->niw", p.hessian, arms)) / 2
     of_vertices = p.value[:, None] + slope + np.einsum("nvv->nv", bend)
     of_edges = p.value[:, None] + (slope[:, first] + slope[:, second]) / 2 + bend[:, first, second]
     return np.concatenate([of_vertices, of_edges], axis=1)
-
-
-def edges(corners: int) -> list[tuple[int, int]]:
-    """Pairs of vertices of a simplex."""
-    return [(v, w) for v in range(corners) for w in range(v + 1, corners)]
 
 
 def barycentric_gradients(vertices: Array) -> Array:
@@ -174,7 +165,7 @@ class Parts:
 
     def longest(self) -> tuple[Indices, Indices]:
         """The longest edge of each part, by the numbers of its vertices."""
-        pairs = np.array(edges(self.vertices.shape[1]))
+        pairs = np.column_stack(np.triu_indices(self.vertices.shape[1], 1))
         lengths = [((self.vertices[:, v] - self.vertices[:, w]) ** 2).sum(axis=1) for v, w in pairs]
         first, second = pairs[np.stack(lengths, axis=1).argmax(axis=1)].T
         return first, second

@@ -16,12 +16,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets, number_of_cells
+from signorini_fenicsx.base.reference_cells import EDGES
 from signorini_fenicsx.meshes.checks import diameters
 from signorini_fenicsx.meshes.domain import Domain, distribute, marked, membership
 from signorini_fenicsx.meshes.refinement import descendant
 
-EDGES = {2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
-"""Vertices of the edges of a cell, in DOLFINx's order."""
 AROUND = {(0, 5): (1, 2, 4, 3), (1, 4): (0, 2, 5, 3), (2, 3): (0, 1, 5, 4)}
 """For each diagonal of the octahedron, between midpoints of opposite edges, the other four edges in a circle."""
 TIE = 1e-6

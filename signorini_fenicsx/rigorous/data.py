@@ -9,13 +9,14 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reference_cells import EDGES
 from signorini_fenicsx.expressions import Tree, interval, values
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Elementary, Interval, enclosing
-from signorini_fenicsx.expressions.simplices import INSIDE, Quadratic, constant, edges, quadratic
+from signorini_fenicsx.expressions.simplices import INSIDE, Quadratic, constant, quadratic
 from signorini_fenicsx.rigorous.discrete import Discrete
-from signorini_fenicsx.rigorous.enclosures import enclose
-from signorini_fenicsx.rigorous.simplices import EDGES, Simplices, root, squared, total, with_midpoints
+from signorini_fenicsx.rigorous.enclosures import Enclosure, enclose
+from signorini_fenicsx.rigorous.simplices import Simplices, root, squared, total, with_midpoints
 from signorini_fenicsx.rigorous.tensor import Tensor, near
 
 FINE = {"norm": 1e-9, "tilt": 1e-3, "mean": 1e-9}
@@ -26,26 +27,14 @@ last factor is needed because errors of the means add up along the tree of `bala
 
 
 @dataclass(frozen=True)
-class Deviation:
+class Deviation(Enclosure):
     """An expression e on simplices, as a polynomial p and enclosures of e − p.
 
     Attributes:
-        nodes: p in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
-        mean: Mean of e − p.
-        norm: Upper bound of the root mean square of e − p.
-        largest: Upper bound of |e − p|.
-        slope: Upper bound of |∇(e − p)|.
-        tilt: Upper bound of the root mean square of |∇(e − p)|.
-        rise: Upper bound of |∇(e − p)·s| for all edges s.
+        nodes: p in the nodes of P2, vertices first, then edges as in `EDGES`.
     """
 
     nodes: Interval
-    mean: Interval
-    norm: Array
-    largest: Array
-    slope: Array
-    tilt: Array
-    rise: Array
 
 
 def deviation(
@@ -93,7 +82,7 @@ def deviation(
         what = "no certain bounds of it and its gradient" if by == "tilt" else "no certain bounds"
         raise InputError(f"{name} has {what} {near(enclosed.place[:, None], np.where(np.isfinite(reached), 0, -1))}")
     nodes = _in_nodes(p, vertices, with_midpoints(enclosing(vertices)))
-    return Deviation(nodes, enclosed.mean, enclosed.norm, enclosed.sup, enclosed.slope, enclosed.tilt, enclosed.rise)
+    return Deviation(**vars(enclosed), nodes=nodes)
 
 
 def places(x: Interval) -> Array:
@@ -101,11 +90,15 @@ def places(x: Interval) -> Array:
     return np.asarray((x.lo + x.hi) / 2)
 
 
+def enclosed_at(tree: Tree, x: Interval, elementary: Elementary) -> Interval:
+    """The values of a tree in points, shape (…, d)."""
+    return interval(tree, {axis: x[..., k] for k, axis in enumerate("xyz"[: x.lo.shape[-1]])}, elementary)
+
+
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
     """Lower bound of an expression on each simplex; simplices may be points."""
     if vertices.shape[1] == 1:
-        point = {name: enclosing(vertices[:, 0, i]) for i, name in enumerate("xyz"[: vertices.shape[2]])}
-        lowest = interval(tree, point, elementary).lo
+        lowest = enclosed_at(tree, enclosing(vertices[:, 0]), elementary).lo
     else:
         p = constant(np.zeros(len(vertices)), vertices.shape[2])
         none = np.zeros(len(vertices))
@@ -115,9 +108,7 @@ def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:
 
 def _polynomial(vertices: Array, sampled: Array, *, linear: bool) -> Quadratic:
     """A polynomial with floats as coefficients and about these values in the nodes; a constant is exact."""
-    dim = vertices.shape[1] - 1
-    order = [EDGES[dim].index(edge) + dim + 1 for edge in edges(dim + 1)]
-    p = quadratic(vertices, sampled[:, : dim + 1], sampled[:, order])
+    p = quadratic(vertices, sampled)
     same = (sampled == sampled[:, :1]).all(axis=1)
     value = np.where(same, sampled[:, 0], p.value)
     gradient = np.where(same[:, None], 0.0, p.gradient)

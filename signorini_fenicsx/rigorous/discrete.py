@@ -12,12 +12,14 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, number_of_cells, original_cells
 from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.reference_cells import EDGES
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.rigorous.simplices import EDGES, BareCells, facet_measures
+from signorini_fenicsx.rigorous.simplices import BareCells, facet_measures
 
 INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
 """Kinds of facets."""
@@ -43,7 +45,7 @@ class Discrete(MeshCells):
     Attributes:
         kinds: Kind of each facet.
         fluxes: Flux of σ_h out of the cell through each of these facets; two cells that share one have opposite floats.
-        v: Values in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
+        v: Values in the nodes of P2, vertices first, then edges as in `EDGES`.
         regions: Names of the regions, and a mask of the cells in them, shape (cells, regions).
     """
 
@@ -80,15 +82,16 @@ def boundary(discrete: Discrete, kind: int) -> MeshFacets:
 def facets_at(cells_of_mesh: MeshCells, chosen: Mask) -> MeshFacets:
     """The facets at which a mask of the facets of all cells is True."""
     dim = cells_of_mesh.dim
-    number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
-    table = []
-    for opposite in range(dim + 1):
-        vertices = [k for k in range(dim + 1) if k != opposite]
-        table.append(vertices + [number[vertices[a], vertices[b]] for a, b in EDGES[dim - 1]])
     cells, local = np.nonzero(chosen)
-    nodes = np.array(table, dtype=np.int64)[local]
+    nodes = nodes_of_facets(dim)[local]
     corners = cells_of_mesh.vertices[cells[:, None], nodes[:, :dim]]
     return MeshFacets(cells, local, nodes, corners, facet_measures(corners))
+
+
+def nodes_of_facets(dim: int) -> Indices:
+    """The nodes of P2 of a cell on the facet opposite to each vertex, in the order of a facet."""
+    number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
+    return np.array([[*x, *(number[x[a], x[b]] for a, b in EDGES[dim - 1])] for x in opposite(dim).tolist()])
 
 
 def gathered(solution: Solution, v: fem.Function) -> Discrete | None:

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.reference_cells import EDGES
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, Interval, enclosing, stacked
 from signorini_fenicsx.expressions.simplices import (
@@ -31,7 +32,6 @@ from signorini_fenicsx.expressions.simplices import (
     Places,
     Quadratic,
     changes,
-    edges,
     evaluated,
     slack,
 )
@@ -55,7 +55,7 @@ class Enclosure:
     Attributes:
         mean: Interval with the mean of d.
         norm: Upper bound of the root mean square of d, which is ‖d‖/|T|^½ in L².
-        sup: Upper bound of |d|.
+        largest: Upper bound of |d|.
         slope: Upper bound of |∇d|, of its components along T and normal to T.
         tilt: Upper bound of the root mean square of |∇d|.
         rise: Upper bound of |∇d·e| for all edges e of T.
@@ -65,7 +65,7 @@ class Enclosure:
 
     mean: Interval
     norm: Array
-    sup: Array
+    largest: Array
     slope: Array
     tilt: Array
     rise: Array
@@ -174,7 +174,7 @@ class _Bisection:
         return Enclosure(
             mean=Interval(mean_lo - rounding * mean, mean_hi + rounding * mean),
             norm=norm,
-            sup=self._most[:, 0],
+            largest=self._most[:, 0],
             slope=self._most[:, 1],
             tilt=tilt,
             rise=self._most[:, 2],
@@ -212,7 +212,7 @@ def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, elementary:
     G = (e.gradient - slope - turn).meet(e.middle_gradient - slope + curved)
     at_centre = e.middle - p_here
     d = (e.value - p_here - places.all_changes(slope) - Interval(-arch, arch)).meet(at_centre + places.all_changes(G))
-    ends = np.array(edges(simplices.shape[1])).T
+    ends = np.array(EDGES[simplices.shape[1] - 1]).T
     rise = changes(G, simplices[:, ends[0]][parts.own] - simplices[:, ends[1]][parts.own], np.zeros_like(places.pad))
     return _summary(d, at_centre, G, rise, places, e.value.meet(e.middle + places.all_changes(e.gradient)))
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reference_cells import EDGES
+from signorini_fenicsx.certificate.proof import Proven
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
-
-EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
-"""Vertices of each edge of an interval, a triangle and a tetrahedron, as Basix numbers them."""
 
 
 def total(a: Interval, axis: int = -1) -> Interval:
@@ -40,6 +39,24 @@ def total_above(values: Array) -> float:
         return 0.0
     total = math.fsum(values.tolist())  # correctly rounded
     return math.nextafter(total, math.inf) if math.isfinite(total) else math.inf
+
+
+def proven(twice_the_gap: Array, oscillation: Array, left: float) -> Proven:
+    """The bounds from upper bounds of what adds to twice the gap, of osc² on cells, and of ‖y − σ_h‖.
+
+    Raises:
+        InputError: If one of them is not finite.
+    """
+    gap, square = total_above(twice_the_gap), total_above(oscillation)
+    if not np.isfinite(gap + square + left):
+        raise InputError("the data have no certain finite bounds, or not finite gradients, near Γ_D or Γ_S")
+    return Proven(
+        bound=total_above(np.array([root_above(gap), root_above(square), left])),
+        sigma_bound=total_above(np.array([root_above(total_above(np.array([gap, square]))), left])),
+        gap=gap / 2,
+        oscillation=root_above(square),
+        remainder=left,
+    )
 
 
 def root_above(value: float) -> float:
@@ -96,7 +113,7 @@ def simplices(vertices: Array) -> Simplices:
         determinant = a * d - b * c
         normals = [stacked([d, -c]), stacked([-b, a])]
     else:
-        normals = [_cross(edges[1], edges[2]), _cross(edges[2], edges[0]), _cross(edges[0], edges[1])]
+        normals = [cross(edges[1], edges[2]), cross(edges[2], edges[0]), cross(edges[0], edges[1])]
         determinant = total(edges[0] * normals[0])
     if ((determinant.lo <= 0) & (determinant.hi >= 0)).any():
         raise InputError("a cell of the mesh is flat up to rounding")
@@ -110,18 +127,19 @@ def simplices(vertices: Array) -> Simplices:
     )
 
 
-def _cross(a: Interval, b: Interval) -> Interval:
+def cross(a: Interval, b: Interval) -> Interval:
+    """The products a×b in space."""
     (a0, a1, a2), (b0, b1, b2) = ([each[..., i] for i in range(3)] for each in (a, b))
     return stacked([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def facet_measures(corners: Array) -> Interval:
-    """|e| of facets with these vertices, shape (facets, d, d)."""
+    """|e| of facets with these vertices, shape (…, d, d)."""
     x = enclosing(corners)
-    spans = [x[:, k] - x[:, 0] for k in range(1, corners.shape[1])]
+    spans = [x[..., k, :] - x[..., 0, :] for k in range(1, corners.shape[-2])]
     if len(spans) == 1:
         return root(total(squared(spans[0])))
-    return root(total(squared(_cross(*spans)))) / 2.0
+    return root(total(squared(cross(*spans)))) / 2.0
 
 
 def with_midpoints(vertices: Interval) -> Interval:
@@ -158,44 +176,56 @@ def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
     return stacked(columns, axis=1)
 
 
-def _mass(dim: int) -> Array:
-    """∫φ_iφ_j/|T| of P2 times 180 (d = 2) or 420 (d = 3): integers."""
-    edges = EDGES[dim]
-    nodes = dim + 1 + len(edges)
-    mass = np.zeros((nodes, nodes))
-    own, other = (6, -1) if dim == 2 else (6, 1)
-    mass[: dim + 1, : dim + 1] = other + (own - other) * np.eye(dim + 1)
-    for a, edge in enumerate(edges):
-        for k in range(dim + 1):
-            at_edge = k in edge
-            mass[dim + 1 + a, k] = mass[k, dim + 1 + a] = (
-                (0 if at_edge else -4) if dim == 2 else (-4 if at_edge else -6)
-            )
-        for b, second in enumerate(edges):
-            shared = len(set(edge) & set(second))
-            mass[dim + 1 + a, dim + 1 + b] = {2: 32, 1: 16, 0: 8}[shared]
-    return mass
+def node_ends(dim: int) -> list[tuple[int, int]]:
+    """The two vertices to which each node of P2 belongs, and its coefficient; that of a vertex twice."""
+    return [(k, k) for k in range(dim + 1)] + list(EDGES[dim])
+
+
+def _exponents(dim: int) -> Indices:
+    """α of λ^α for each coefficient of a quadratic."""
+    return np.array([np.bincount(pair, minlength=dim + 1) for pair in node_ends(dim)])
+
+
+def mean_square(values: Interval, dim: int, to_coefficients: Array | None = None) -> Interval:
+    """Mean squares over simplices of quadratics, scalar or with components as last axis.
+
+    Args:
+        values: Their coefficients in Bernstein's basis, shape (n, nodes, …).
+        dim: Of the simplices.
+        to_coefficients: A matrix, exact in floats, that makes these of `values`, if they are other numbers.
+    """
+    # times 24 (dim + 4 choose dim) the means of the products of the basis are whole numbers
+    alpha, factorials = _exponents(dim), np.array([1.0, 1.0, 2.0, 6.0, 24.0])
+    weights = 2 / factorials[alpha].prod(axis=1)
+    products = factorials[alpha[:, None] + alpha].prod(axis=2) * weights[:, None] * weights
+    if to_coefficients is not None:
+        products = to_coefficients.T @ products @ to_coefficients
+    values = values if values.lo.ndim > 2 else values[..., None]
+    square = enclosing(np.zeros(len(values.lo)))
+    for i, row in enumerate(products):
+        square = square + total(values[:, i] * total(values * row[:, None], axis=1))
+    positive = Interval(np.maximum(square.lo, 0.0), np.maximum(square.hi, 0.0))
+    return positive / float(24 * math.comb(dim + 4, dim))
 
 
 def square_norm(cells: Simplices, nodes: Interval) -> Interval:
     """∫|q|² per cell, for a quadratic q, scalar or with components as last axis, from its values in the nodes of P2."""
-    if nodes.lo.ndim == 2:
-        nodes = nodes[..., None]
-    mass, scale = _mass(cells.dim), {2: 180.0, 3: 420.0}[cells.dim]
-    square = enclosing(np.zeros(len(nodes.lo)))
-    for i in range(len(mass)):
-        row = total(nodes * mass[i][:, None], axis=1)
-        square = square + total(nodes[:, i] * row)
-    positive = Interval(np.maximum(square.lo, 0.0), np.maximum(square.hi, 0.0))
-    return positive * cells.measure / scale
+    dim = cells.dim
+    to_coefficients = np.diag(np.where(np.arange(len(node_ends(dim))) > dim, 2.0, 1.0))
+    to_coefficients[dim + 1 :, : dim + 1] = -_exponents(dim)[dim + 1 :] / 2
+    return mean_square(nodes, dim, to_coefficients) * cells.measure
 
 
 def mean(nodes: Interval, dim: int) -> Interval:
     """Mean of a quadratic over simplices of this dimension, 1, 2 or 3, from its values in the nodes of P2."""
     vertices, middle = total(nodes[:, : dim + 1]), total(nodes[:, dim + 1 :])
-    if dim == 1:
-        return (vertices + middle * 4.0) / 6.0
-    return middle / 3.0 if dim == 2 else (middle * 4.0 - vertices) / 20.0
+    return (vertices * (2.0 - dim) + middle * 4.0) / float((dim + 1) * (dim + 2))
+
+
+def means_with_hats(coefficients: Interval, dim: int) -> Interval:
+    """Means of quadratics times the hats of the vertices, from their coefficients, shape (n, dim + 1)."""
+    weights = 1 + _exponents(dim).T.astype(np.float64)
+    return total(coefficients[:, None] * weights) / float((dim + 3) * math.comb(dim + 2, dim))
 
 
 def bernstein(nodes: Interval, dim: int) -> Interval:
@@ -204,4 +234,4 @@ def bernstein(nodes: Interval, dim: int) -> Interval:
     columns += [
         nodes[:, dim + 1 + number] * 2.0 - (columns[i] + columns[j]) / 2.0 for number, (i, j) in enumerate(EDGES[dim])
     ]
-    return Interval(np.column_stack([c.lo for c in columns]), np.column_stack([c.hi for c in columns]))
+    return stacked(columns)

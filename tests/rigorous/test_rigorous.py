@@ -16,6 +16,7 @@ from mpi4py import MPI
 from springs import Springs
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reference_cells import EDGES
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.cases.solving import solve_case
@@ -31,7 +32,6 @@ from signorini_fenicsx.rigorous.balance import _tree, balanced
 from signorini_fenicsx.rigorous.data import Given
 from signorini_fenicsx.rigorous.discrete import Discrete, gathered
 from signorini_fenicsx.rigorous.elementary import FromArb
-from signorini_fenicsx.rigorous.simplices import EDGES
 from signorini_fenicsx.rigorous.theorem import _lifts, prove
 from signorini_fenicsx.solving.physics import PHYSICS
 

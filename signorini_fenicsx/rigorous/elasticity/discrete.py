@@ -11,6 +11,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, datum_of
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Elementary
@@ -36,7 +37,7 @@ class ElasticDiscrete(MeshCells):
     Attributes:
         stresses: σ_h at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d).
         v: Coefficients of a quadratic displacement on each subcell in Bernstein's basis, vertices first, then edges as
-            in `simplices.EDGES`, shape (cells, d + 1, coefficients, d).
+            in `EDGES` of `base.reference_cells`, shape (cells, d + 1, coefficients, d).
         nodes: Their numbers, the same for the same node, shape (cells, d + 1, coefficients).
         material: E and ν, shape (cells, 2).
         own: The entries of the eigenstrain, as in `forms.elasticity.pairs` without weights, and in the plane its zz.
@@ -80,8 +81,7 @@ class ElasticDiscrete(MeshCells):
     def facet_vertices_of(self, places: tuple[Indices, ...]) -> Array:
         """Vertices of facets given by their cells and local numbers, shape (facets, d, d)."""
         cells, local = places
-        others = np.array([[k for k in range(self.dim + 1) if k != i] for i in range(self.dim + 1)])
-        return np.asarray(self.vertices[cells[:, None], others[local]])
+        return np.asarray(self.vertices[cells[:, None], opposite(self.dim)[local]])
 
 
 @dataclass(frozen=True)

@@ -20,16 +20,13 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import Tree, interval, is_polynomial, rational
-from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.base.reference_cells import EDGES
+from signorini_fenicsx.expressions import Tree, is_polynomial, rational
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
+from signorini_fenicsx.rigorous.data import enclosed_at
+from signorini_fenicsx.rigorous.discrete import nodes_of_facets
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
-from signorini_fenicsx.rigorous.simplices import EDGES, bernstein, facet_measures, total, with_midpoints
-
-
-def nodes_on_facet(dim: int) -> Indices:
-    """Places of the coefficients on the facet opposite to the last vertex of a subcell, in the order on facets."""
-    number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
-    return np.array([*range(dim), *(number[edge] for edge in EDGES[dim - 1])])
+from signorini_fenicsx.rigorous.simplices import bernstein, facet_measures, node_ends, total, with_midpoints
 
 
 @dataclass(frozen=True)
@@ -80,7 +77,7 @@ class Seam:
         for component in range(self.discrete.dim if len(wanted) else 0):
             for tree, mask in self.given.each(self.discrete.displacement[..., component]):
                 cells, local = np.nonzero(mask)
-                nodes = self.numbers[cells[:, None], local[:, None], nodes_on_facet(self.discrete.dim)]
+                nodes = self.numbers[cells[:, None], local[:, None], nodes_of_facets(self.discrete.dim)[-1]]
                 near = np.isin(nodes, wanted).any(axis=1)
                 x = _fractions(self.discrete.facet_vertices_of((cells[near], local[near])))
                 coefficients = _coefficients(tree, x) if near.any() else None
@@ -114,7 +111,7 @@ def _area(corners: Any) -> list[Fraction]:
 def _coefficients(tree: Tree, x: Any) -> Any:
     """Coefficients of a quadratic on facets in Bernstein's basis, shape (facets, coefficients); None if irrational."""
     dim = x.shape[1]
-    i, j = np.array([(k, k) for k in range(dim)] + list(EDGES[dim - 1])).T
+    i, j = np.array(node_ends(dim - 1)).T
     values = rational(tree, (x[:, i] + x[:, j]) / 2)
     return None if values is None else 2 * values - (values[:, i] + values[:, j]) / 2
 
@@ -144,7 +141,7 @@ class Displacement:
         columns = [c[:, :, k] for k in range(c.lo.shape[2])]
         for number, (i, j) in enumerate(EDGES[dim]):
             columns[dim + 1 + number] = columns[dim + 1 + number] / 2.0 + (columns[i] + columns[j]) / 4.0
-        return Interval(*(np.stack([getattr(each, end) for each in columns], axis=2) for end in ("lo", "hi")))
+        return stacked(columns, axis=2)
 
 
 def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Displacement:
@@ -168,7 +165,7 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
             _give(at_nodes, fixed, component, *_on_facets(discrete, given, "u_D", tree, mask, numbers))
     on = discrete.gap != NONE
     cells, local = np.nonzero(on)
-    places = nodes_on_facet(dim)
+    places = nodes_of_facets(dim)[-1]
     nodes = numbers[cells[:, None], local[:, None], places]
     touching, across = discrete.pairs
     other = numbers[across[0][:, None], across[1][:, None], places]
@@ -212,10 +209,9 @@ def _on_facets(
     if not is_polynomial(tree, 2):
         raise InputError(f"the proof is for quadratic {name} alone")
     cells, local = np.nonzero(mask)
-    nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(discrete.dim)]
+    nodes = numbers[cells[:, None], local[:, None], nodes_of_facets(discrete.dim)[-1]]
     x = with_midpoints(enclosing(discrete.facet_vertices(mask)))
-    point = {axis: x[..., k] for k, axis in enumerate("xyz"[: discrete.dim])}
-    return nodes, bernstein(interval(tree, point, given.elementary).on(nodes.shape), discrete.dim - 1)
+    return nodes, bernstein(enclosed_at(tree, x, given.elementary), discrete.dim - 1)
 
 
 def _give(at_nodes: Interval, fixed: Mask, component: int, nodes: Indices, values: Interval) -> None:

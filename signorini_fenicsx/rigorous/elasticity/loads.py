@@ -8,19 +8,28 @@ constant on subcells and has these moments, and ‖f − f_h‖ ≤ ‖P − QP�
 but ĉ and t̂ are those of `scripts/measure.py proved-korn`.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import Tree, interval
+from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import polynomial_degree
-from signorini_fenicsx.rigorous.data import deviation
+from signorini_fenicsx.rigorous.data import deviation, enclosed_at
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given
-from signorini_fenicsx.rigorous.simplices import EDGES, Simplices, bernstein, root, squared, total, with_midpoints
+from signorini_fenicsx.rigorous.simplices import (
+    Simplices,
+    bernstein,
+    mean_square,
+    means_with_hats,
+    node_ends,
+    root,
+    squared,
+    total,
+    with_midpoints,
+)
 
 PROVED = {2: (0.40, 1.01)}
 """Proved bounds of ĉ and t̂, by dimension."""
@@ -49,58 +58,34 @@ class Moments:
         """The moments of a tree on simplices with these vertices, shape (n, k + 1, d)."""
         dim, degree = vertices.shape[1] - 1, polynomial_degree(tree)
         if degree is not None and degree <= 2:
-            x = with_midpoints(enclosing(vertices))
-            point = {axis: x[..., k] for k, axis in enumerate("xyz"[: vertices.shape[2]])}
-            nodes, none = interval(tree, point, given.elementary).on(x.lo.shape[:2]), np.zeros(len(vertices))
-            mean, norm = enclosing(none), none
+            nodes = enclosed_at(tree, with_midpoints(enclosing(vertices)), given.elementary)
+            mean, norm = enclosing(np.zeros(len(vertices))), np.zeros(len(vertices))
         else:
             enclosed = deviation(tree, vertices, given.elementary, name=name, by="mean", order=2)
             nodes, mean, norm = enclosed.nodes, enclosed.mean, enclosed.norm
         quadratic = bernstein(nodes, dim)
-        ends = _ends(dim)
-        weights = np.array([[1.0 + end.count(a) for end in ends] for a in range(dim + 1)])
-        share = float((dim + 3) * math.comb(dim + 2, dim))
-        exact = total(quadratic[:, None] * weights) / share
         spread = root(enclosing(dim / (dim + 2.0))).hi * norm / (dim + 1) * (1 + 1e-14)
         rest = mean / float(dim + 1) + Interval(-spread, spread)
-        return cls(exact + rest[:, None], quadratic, enclosing(norm), degree)
+        return cls(means_with_hats(quadratic, dim) + rest[:, None], quadratic, enclosing(norm), degree)
 
     def linear(self) -> Interval:
         """Values at the vertices of Π₁ of it."""
-        size = self.hats.lo.shape[1]
-        return (self.hats * float(size + 1) - total(self.hats)[:, None]) * float(size)
+        return _linear(self.hats)
 
     def off_linear(self) -> Interval:
         """A bound of the root mean square of it less Π₁."""
         if self.degree is not None and self.degree <= 1:
             return enclosing(np.zeros(len(self.beyond.lo)))
-        size = self.hats.lo.shape[1]
-        weights = np.array([[1.0 + end.count(a) for end in _ends(size - 1)] for a in range(size)])
-        share = float((size + 2) * math.comb(size + 1, size - 1))
-        hats = total(self.quadratic[:, None] * weights) / share
-        linear = (hats * float(size + 1) - total(hats)[:, None]) * float(size)
-        columns = [linear[:, k] for k in range(size)]
-        raised = stacked([(columns[i] + columns[j]) / 2.0 for i, j in _ends(size - 1)])
-        return root(mean_square(self.quadratic - raised, size - 1)) + self.beyond
+        dim = self.hats.lo.shape[1] - 1
+        linear = _linear(means_with_hats(self.quadratic, dim))
+        raised = stacked([(linear[:, i] + linear[:, j]) / 2.0 for i, j in node_ends(dim)])
+        return root(mean_square(self.quadratic - raised, dim)) + self.beyond
 
 
-def _ends(dim: int) -> list[tuple[int, int]]:
-    """The two vertices to which each coefficient of a quadratic belongs."""
-    return [(k, k) for k in range(dim + 1)] + list(EDGES[dim])
-
-
-def mean_square(coefficients: Interval, dim: int) -> Interval:
-    """Mean squares over simplices of quadratics, from their coefficients in Bernstein's basis."""
-    ends, square = _ends(dim), enclosing(np.zeros(len(coefficients.lo)))
-    share = float(24 * math.comb(dim + 4, dim))
-    for row, one in enumerate(ends):
-        weights = []
-        for other in ends:
-            powers = [one.count(a) + other.count(a) for a in range(dim + 1)]
-            products = math.prod(math.factorial(power) for power in powers)
-            weights.append(float(products * (1 + (one[0] != one[1])) * (1 + (other[0] != other[1]))))
-        square = square + coefficients[:, row] * total(coefficients * np.array(weights))
-    return Interval(np.maximum(square.lo, 0.0), np.maximum(square.hi, 0.0)) / share
+def _linear(hats: Interval) -> Interval:
+    """Values at the vertices of the linear functions with these means times the hats."""
+    size = hats.lo.shape[1]
+    return (hats * float(size + 1) - total(hats)[:, None]) * float(size)
 
 
 def force(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> tuple[Interval, Interval]:
@@ -122,11 +107,9 @@ def force(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> tuple[In
 
 def off_subcells(moments: Moments, dim: int) -> Interval:
     """The mean square of P − QP on cells."""
-    size = dim + 1
-    weights = np.array([[1.0 + end.count(a) for end in _ends(dim)] for a in range(size)])
-    hats = total(moments.quadratic[:, None] * weights) / float((dim + 3) * math.comb(dim + 2, dim))
+    size, hats = dim + 1, means_with_hats(moments.quadratic, dim)
     middle = total(hats)
-    columns = {end: moments.quadratic[:, n] for n, end in enumerate(_ends(dim))}
+    columns = {end: moments.quadratic[:, n] for n, end in enumerate(node_ends(dim))}
 
     def blossom(one: int, other: int) -> Interval:
         """The polar form at two vertices, of which `size` is the centroid."""
@@ -139,7 +122,7 @@ def off_subcells(moments: Moments, dim: int) -> Interval:
     for subcell in range(size):
         corners = [k for k in range(size) if k != subcell] + [size]
         constant = middle * float(dim + 2) - hats[:, subcell] * float(size**2)
-        own = stacked([blossom(*sorted((corners[i], corners[j]))) - constant for i, j in _ends(dim)])
+        own = stacked([blossom(*sorted((corners[i], corners[j]))) - constant for i, j in node_ends(dim)])
         squares.append(mean_square(own, dim))
     return sum(squares[1:], squares[0]) / float(size)
 

@@ -6,16 +6,15 @@ that is linear on the facet, and |e||v_t| = |N×v|. |v_t| is at most the mean of
 Bernstein's basis, in space of those on parts of the facet, as in `FacetCoefficients.lengths`.
 """
 
-import math
 from functools import lru_cache
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.facet_coefficients import HALVINGS
+from signorini_fenicsx.discrete.facet_coefficients import parts_of_facet
 from signorini_fenicsx.expressions.intervals import Interval, absolute, enclosing, stacked
-from signorini_fenicsx.rigorous.simplices import EDGES, root, squared, total
+from signorini_fenicsx.rigorous.simplices import cross, means_with_hats, node_ends, root, squared, total
 
 SHORTER = 1 - 1e-14
 """Tractions are made shorter by this factor, so that rounding does not make them longer than the bound."""
@@ -23,10 +22,7 @@ SHORTER = 1 - 1e-14
 
 def tangential(areas: Interval, w: Interval) -> Interval:
     """N×w, in the plane JN w, shape (…, d), from N of shape (…, d) and w of shape (…, d), in the plane (…, 1)."""
-    n, each = ([a[..., i] for i in range(a.lo.shape[-1])] for a in (areas, w))
-    if len(n) == 2:
-        return stacked([-n[1] * each[0], n[0] * each[0]])
-    return stacked([n[(i + 1) % 3] * each[(i + 2) % 3] - n[(i + 2) % 3] * each[(i + 1) % 3] for i in range(3)])
+    return cross(areas, w) if areas.lo.shape[-1] == 3 else stacked([-areas[..., 1], areas[..., 0]]) * w
 
 
 def shear_near(tractions: Array, normals: Array, most: Array) -> Array:
@@ -120,11 +116,7 @@ def rubbed(areas: Interval, bound: Interval, shear: Interval, v: Interval) -> In
 
 def _integral(linear: Interval, quadratic: Interval) -> Interval:
     """Means over facets of linear functions, by values at the vertices, times quadratic ones, by coefficients."""
-    dim = linear.lo.shape[1]
-    ends = [(k,) for k in range(dim)] + list(EDGES[dim - 1])
-    share = (dim + 2) * math.comb(dim + 1, dim - 1)
-    weights = np.array([[1.0 + (2 if len(end) == 1 else 1) * (a in end) for end in ends] for a in range(dim)])
-    return total(quadratic * total(linear[..., None] * weights, axis=1)) / float(share)
+    return total(linear * means_with_hats(quadratic, linear.lo.shape[1] - 1))
 
 
 @lru_cache
@@ -133,13 +125,7 @@ def _parts(dim: int) -> tuple[Array, Array]:
 
     Shapes (parts, d, d) and (parts, coefficients, coefficients). An edge is one part.
     """
-    corners = np.eye(dim)[None]
-    for _ in range(HALVINGS if dim == 3 else 0):
-        a, b, c = (corners[:, i] for i in range(3))
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
-        corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
-    ends = np.array([(k, k) for k in range(dim)] + list(EDGES[dim - 1]))
-    one, other = corners[:, ends[:, 0]], corners[:, ends[:, 1]]
-    columns = [(one[..., i] * other[..., j] + one[..., j] * other[..., i]) / (1 + (i == j)) for i, j in ends]
+    corners, places = parts_of_facet(dim), node_ends(dim - 1)
+    one, other = (corners[:, some] for some in zip(*places, strict=True))
+    columns = [(one[..., i] * other[..., j] + one[..., j] * other[..., i]) / (1 + (i == j)) for i, j in places]
     return corners, np.stack(columns, axis=-1)

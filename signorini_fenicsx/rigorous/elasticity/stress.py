@@ -85,15 +85,13 @@ def stresses_of(cells: Simplices, pulls: Interval, moments: Interval) -> Interva
         moments: ∫ f λ_k, shape (cells, d + 1, d).
     """
     dim, count = cells.dim, len(cells.vertices)
-    inputs = stacked([*_tractions(cells, pulls), *_means(cells, pulls, moments)])
-    coefficients = _coefficients(dim)
+    entries, coefficients = pairs(dim), _coefficients(dim)
     hatted = enclosing(np.zeros((count, len(coefficients.lo))))
-    for n in range(inputs.lo.shape[1]):
+    for n, each in enumerate([*_tractions(cells, pulls), *_means(cells, pulls, moments)]):
         column = coefficients[:, n]
-        some = np.flatnonzero((column.lo != 0) | (column.hi != 0))
-        hatted = hatted.put(np.s_[:, some], hatted[:, some] + inputs[:, n, None] * column[some])
-    entries = pairs(dim)
-    hatted = Interval(*(each.reshape(count, dim + 1, dim + 1, len(entries)) for each in (hatted.lo, hatted.hi)))
+        some = np.flatnonzero(~column.is_zero)
+        hatted = hatted.put(np.s_[:, some], hatted[:, some] + each[:, None] * column[some])
+    hatted = hatted.reshape(count, dim + 1, dim + 1, len(entries))
     x = enclosing(cells.vertices)
     arms = [x[:, k] - x[:, 0] for k in range(1, dim + 1)]
     columns: dict[tuple[int, int], Interval] = {}
@@ -110,35 +108,26 @@ def stresses_of(cells: Simplices, pulls: Interval, moments: Interval) -> Interva
 
 def _tractions(cells: Simplices, pulls: Interval) -> list[Interval]:
     """ŷ∇̂λ_i at the vertices of facets, one column for each facet, vertex and component."""
-    dim = cells.dim
-    across = cells.measure * -float(dim)
-    slopes = [cells.gradients[:, k] for k in range(1, dim + 1)]
-    columns = []
-    for i in range(dim + 1):
-        for a in range(dim):
-            pull = pulls[:, i, a]
-            columns += [total(slope * pull) / across for slope in slopes]
-    return columns
+    across = (cells.measure * -float(cells.dim))[:, None, None, None]
+    columns = total(cells.gradients[:, None, None, 1:] * pulls[..., None, :]) / across
+    return [columns[:, i, a, k] for i, a, k in np.ndindex(columns.lo.shape[1:])]
 
 
 def _means(cells: Simplices, pulls: Interval, moments: Interval) -> list[Interval]:
     """The entries of ∫ŷ/|T̂|, one column each."""
-    dim, mass, facets = cells.dim, 1.0 + np.eye(cells.dim), opposite(cells.dim)
-    of_hats = []
-    for l_ in range(1, dim + 1):
-        force = moments[:, l_]
-        for i in range(dim + 1):
-            if i != l_:
-                b = facets[i].tolist().index(l_)
-                pulled = total(pulls[:, i] * mass[b][:, None], axis=1)
-                force = force + pulled / float(dim * (dim + 1))
-        of_hats.append(force)
-    slopes = [cells.gradients[:, k] for k in range(1, dim + 1)]
-    columns = []
-    for k, m in pairs(dim):
-        both = total(slopes[k] * of_hats[m]) + total(slopes[m] * of_hats[k])
-        columns.append(both / (cells.measure * 2.0))
-    return columns
+    through, slopes = _moments(pulls), cells.gradients[:, 1:]
+    of_hats = [
+        sum((through[:, i, b] for i, b in np.argwhere(opposite(cells.dim) == vertex)), moments[:, vertex])
+        for vertex in range(1, cells.dim + 1)
+    ]
+    both = [total(slopes[:, k] * of_hats[m]) + total(slopes[:, m] * of_hats[k]) for k, m in pairs(cells.dim)]
+    return [each / (cells.measure * 2.0) for each in both]
+
+
+def _moments(pulls: Interval) -> Interval:
+    """∫ q λ_a over simplices of measure 1 for linear q with these values at the vertices, shape (…, k, d)."""
+    corners = pulls.lo.shape[-2]
+    return (pulls + total(pulls, axis=-2)[..., None, :]) / float(corners * (corners + 1))
 
 
 def wrenches(x: Interval, pulls: Interval, origin: Array) -> Interval:
@@ -152,16 +141,14 @@ def wrenches(x: Interval, pulls: Interval, origin: Array) -> Interval:
     Returns:
         The d components of the force, then the moments r_i q_j − r_j q_i for i < j, shape (…, d + d(d − 1)/2).
     """
-    corners, dim = pulls.lo.shape[-2:]
-    force = total(pulls, axis=-2) / float(corners)
-    arms = x - origin
-    sums = total(arms, axis=-2)
-    # ∫ r q over a simplex with k vertices, of measure 1, is (Σ_a r_a q_a + Σ_a r_a Σ_b q_b)/(k(k + 1))
-    columns = [force[..., i] for i in range(dim)]
-    for i, j in combinations(range(dim), 2):
-        own = total(_turning(arms, pulls, i, j))
-        together = _turning(sums, force * float(corners), i, j)
-        columns.append((own + together) / float(corners * (corners + 1)))
+    return wrench_of_moments(x, _moments(pulls), origin)
+
+
+def wrench_of_moments(x: Interval, moments: Interval, origin: Array) -> Interval:
+    """Force and moment of what has these moments against the hats of simplices, as `wrenches` has them."""
+    dim, arms = x.lo.shape[-1], x - origin
+    columns = [total(moments[..., i]) for i in range(dim)]
+    columns += [total(_turning(arms, moments, i, j)) for i, j in combinations(range(dim), 2)]
     return stacked(columns)
 
 
@@ -186,15 +173,7 @@ def pulls_with(x: Interval, wrench: Interval, origin: Array) -> Interval:
     lever = middle - origin
     moments = [wrench[:, dim + n] - _turning(lever, force, i, j) for n, (i, j) in enumerate(turns)]
 
-    def turned(n: int) -> Interval:
-        """The field of the turn n alone: its component j is r_i, its component i −r_j."""
-        i, j = turns[n]
-        zero = enclosing(np.zeros(arms.lo.shape[:2]))
-        columns = [zero] * dim
-        columns[i], columns[j] = -arms[..., j], arms[..., i]
-        return stacked(columns)
-
-    fields = [turned(n) for n in range(len(turns))]
+    fields = _turns(arms)
     share = float(dim * (dim + 1))
     rows = [stacked([total(_turning(arms, field, i, j)) / share for field in fields]) for i, j in turns]
     rates = solved(stacked(rows, axis=1), stacked(moments))
@@ -202,6 +181,16 @@ def pulls_with(x: Interval, wrench: Interval, origin: Array) -> Interval:
     for n, field in enumerate(fields):
         pulls = pulls + field * rates[:, n, None, None]
     return pulls
+
+
+def _turns(arms: Interval) -> list[Interval]:
+    """The fields of the turns i < j alone: their component j is r_i, their component i −r_j."""
+    dim, fields = arms.lo.shape[-1], []
+    for i, j in combinations(range(dim), 2):
+        columns = [enclosing(np.zeros(arms.lo.shape[:-1]))] * dim
+        columns[i], columns[j] = -arms[..., j], arms[..., i]
+        fields.append(stacked(columns))
+    return fields
 
 
 def solved(matrix: Interval, right: Interval) -> Interval:
@@ -248,7 +237,7 @@ def equilibrated(
     """
     vertices, dim = cells_of_mesh.vertices, cells_of_mesh.dim
     origin = vertices.reshape(-1, dim).mean(axis=0)
-    load = wrench_of_load(enclosing(vertices), moments, origin)
+    load = wrench_of_moments(enclosing(vertices), moments, origin)
     roots = np.zeros_like(outlets)
     bodies, across = bodies_of(cells_of_mesh), _across(pair)
     level = _levels(bodies, across, outlets, ~holds.is_zero.all(axis=(2, 3)) & (pair == NONE))
@@ -344,11 +333,7 @@ def _in_balance(
     size = 2.0 ** np.ceil(np.log2(np.ptp(corners.reshape(-1, dim), axis=0).max()))  # exact, so that units do not matter
     scale = np.concatenate([np.ones(dim), np.full(dim * (dim - 1) // 2, size)])
     x, arms = enclosing(corners), (enclosing(corners) - origin) / size
-    motions = [enclosing(np.broadcast_to(each, corners.shape)) for each in np.eye(dim)]
-    for i, j in combinations(range(dim), 2):
-        columns = [enclosing(np.zeros(corners.shape[:2]))] * dim
-        columns[i], columns[j] = -arms[..., j], arms[..., i]
-        motions.append(stacked(columns))
+    motions = [*(enclosing(np.broadcast_to(each, corners.shape)) for each in np.eye(dim)), *_turns(arms)]
     hold = holds[place]
     answers = [total(hold[:, None] * motion[..., None, :]) for motion in motions]
     matrix = stacked([total(wrenches(x, each, origin), axis=0) / scale for each in answers])
@@ -360,12 +345,3 @@ def _in_balance(
     for n, answer in enumerate(answers):
         more = more + answer * rates[n]
     return more
-
-
-def wrench_of_load(x: Interval, moments: Interval, origin: Array) -> Interval:
-    """Force and moment of loads with these moments against the hats."""
-    dim = x.lo.shape[-1]
-    arms = x - origin
-    columns = [total(moments[..., i]) for i in range(dim)]
-    columns += [total(_turning(arms, moments, i, j)) for i, j in combinations(range(dim), 2)]
-    return stacked(columns)

@@ -28,14 +28,14 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.proof import Proofs, Proven
 from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
-from signorini_fenicsx.expressions import Binary, Tree, interval, is_polynomial
+from signorini_fenicsx.expressions import Binary, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import Negative, exactly
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.scope import outside
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.rigorous.data import deviation
+from signorini_fenicsx.rigorous.data import deviation, enclosed_at
 from signorini_fenicsx.rigorous.discrete import opposed
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given, gathered
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
@@ -47,6 +47,7 @@ from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     facet_measures,
     gradient_in_vertices,
+    proven,
     root,
     root_above,
     simplices,
@@ -98,18 +99,9 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     on_contact = pressed(pressure, v.off)
     rough = bound.hi.any(axis=1)
     on_rough = rubbed(normal[rough], bound[rough], rubbing[rough], v.on_contact[rough])
-    twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi, 2 * on_rough.hi]))
-    remainder = root_above(total_above(squared(left).hi))
-    square = total_above(squared(_oscillation(compliance, cells, off, off_facets)).hi)
-    if not np.isfinite(twice_the_gap + remainder + square):
-        raise InputError("the data have no certain finite bounds")
-    return Proven(
-        bound=total_above(np.array([root_above(twice_the_gap), root_above(square), remainder])),
-        sigma_bound=total_above(np.array([root_above(total_above(np.array([twice_the_gap, square]))), remainder])),
-        gap=twice_the_gap / 2,
-        oscillation=root_above(square),
-        remainder=remainder,
-    )
+    twice_the_gap = np.concatenate([squared(mismatch).hi, 2 * on_contact.hi, 2 * on_rough.hi])
+    oscillation = squared(_oscillation(compliance, cells, off, off_facets)).hi
+    return proven(twice_the_gap, oscillation, root_above(total_above(squared(left).hi)))
 
 
 def _oscillation(compliance: Tensor, cells: Simplices, off: Interval, off_facets: Interval) -> Interval:
@@ -117,9 +109,7 @@ def _oscillation(compliance: Tensor, cells: Simplices, off: Interval, off_facets
     if off.is_zero.all() and off_facets.is_zero.all():
         return off
     of_cells, of_facets = constants(cells)
-    x = cells.vertices[:, opposite(cells.dim)]
-    measures = facet_measures(x.reshape(-1, *x.shape[2:]))
-    measures = Interval(*(each.reshape(x.shape[:2]) for each in (measures.lo, measures.hi)))
+    measures = facet_measures(cells.vertices[:, opposite(cells.dim)])
     on_facets = total(off_facets * root(measures)) / root(cells.measure)
     softness = compliance.root_largest.hi.reshape(len(cells.vertices), -1).max(axis=1)
     return (of_cells * off + of_facets * on_facets) * softness
@@ -133,14 +123,9 @@ def _split(cells: Simplices) -> Simplices:
         own = cells.gradients[:, i]
         hats = [cells.gradients[:, k] - own for k in facets[i]]
         gradients.append(stacked([*hats, own * float(dim + 1)], axis=1))
-    shape = len(cells.vertices) * (dim + 1), dim + 1, dim
-    joined = stacked(gradients, axis=1)
-    measure = cells.measure / float(dim + 1)
-    return Simplices(
-        split_vertices(cells.vertices).reshape(shape),
-        Interval(*(np.repeat(each, dim + 1) for each in (measure.lo, measure.hi))),
-        Interval(joined.lo.reshape(shape), joined.hi.reshape(shape)),
-    )
+    vertices, measure = split_vertices(cells.vertices).reshape(-1, dim + 1, dim), cells.measure / float(dim + 1)
+    of_subcells = np.repeat(np.arange(len(cells.vertices)), dim + 1)
+    return Simplices(vertices, measure[of_subcells], stacked(gradients, axis=1).reshape(*vertices.shape))
 
 
 def _compliance(discrete: ElasticDiscrete, given: Given, subcells: Simplices) -> Tensor:
@@ -203,18 +188,22 @@ def _on_subcells(corners: Interval) -> Interval:
     dim = corners.lo.shape[1] - 1
     middle = total(corners, axis=1) / float(dim + 1)
     on_subcells = [stacked([*(corners[:, k] for k in each), middle], axis=1) for each in opposite(dim)]
-    whole = stacked(on_subcells, axis=1)
-    shape = -1, *corners.lo.shape[1:]
-    return Interval(whole.lo.reshape(shape), whole.hi.reshape(shape))
+    return stacked(on_subcells, axis=1).reshape(-1, *corners.lo.shape[1:])
 
 
 def _bound(discrete: ElasticDiscrete, given: Given) -> Interval:
-    """The bound of the shear at the vertices of the facets of Γ_C, shape (facets, d)."""
+    """The bound of the shear at the vertices of the facets of Γ_C, shape (facets, d).
+
+    Raises:
+        InputError: If one is not linear.
+    """
     contact = discrete.gap != NONE
     bounds = discrete.bound[contact]
     bound, numbers, x = Interval(bounds, bounds.copy()), discrete.rubbing[contact], discrete.facet_vertices(contact)
     for tree, mask in given.each(numbers):
-        values = _linear(given, "g of friction", tree, x[mask])
+        if not is_polynomial(tree, 1):
+            raise InputError("the proof is for linear g of friction alone")
+        values = enclosed_at(tree, enclosing(x[mask]), given.elementary)
         bound.lo[mask], bound.hi[mask] = np.maximum(values.lo, 0.0), values.hi
     return bound
 
@@ -248,8 +237,7 @@ def _loads(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tuple[In
         pulls[mask] = pull
         more = squared(data.off_linear())
         squares[mask] = more
-    measures = facet_measures(x.reshape(-1, dim, dim))
-    return pulls, root(squares * Interval(*(each.reshape(inside.shape) for each in (measures.lo, measures.hi))))
+    return pulls, root(squares * facet_measures(x))
 
 
 def _on_contact(
@@ -303,37 +291,18 @@ def _difference(before: Interval, after: Interval) -> Interval:
     return enclosing(np.zeros(before.lo.shape)).where(same[:, None, None], after - before)
 
 
-def _linear(given: Given, name: str, tree: Tree, x: Array) -> Interval:
-    """The values of a linear datum at the vertices of facets.
-
-    Raises:
-        InputError: If it is not linear.
-    """
-    if not is_polynomial(tree, 1):
-        raise InputError(f"the proof is for linear {name} alone")
-    return _at(tree, x, given)
-
-
-def _at(tree: Tree, x: Array, given: Given) -> Interval:
-    """The values of a tree in points, shape (…, d)."""
-    point = {axis: enclosing(x[..., k]) for k, axis in enumerate("xyz"[: x.shape[-1]])}
-    return interval(tree, point, given.elementary).on(x.shape[:-1])
-
-
 def _entries(matrices: Interval) -> Interval:
     """The entries of symmetric matrices at the vertices of subcells, shape (subcells, d + 1, entries)."""
     dim = matrices.lo.shape[-1]
     twice = root(enclosing(2.0))
     columns = [matrices[..., i, j] * (1.0 if i == j else twice) for i, j in pairs(dim)]
-    entries = stacked(columns)
-    shape = -1, dim + 1, len(columns)
-    return Interval(entries.lo.reshape(shape), entries.hi.reshape(shape))
+    return stacked(columns).reshape(-1, dim + 1, len(columns))
 
 
 def _strains(subcells: Simplices, values: Interval) -> Interval:
     """The entries of ε(v) at the vertices of subcells, from values of v in the nodes of P2."""
     dim = subcells.dim
-    flat = Interval(*(each.reshape(len(subcells.vertices), -1, dim) for each in (values.lo, values.hi)))
+    flat = values.reshape(len(subcells.vertices), -1, dim)
     slopes = [gradient_in_vertices(subcells, flat[..., i]) for i in range(dim)]
     half = root(enclosing(2.0)) / 2.0
     columns = [slopes[i][..., i] if i == j else (slopes[i][..., j] + slopes[j][..., i]) * half for i, j in pairs(dim)]

@@ -26,15 +26,14 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, to_values
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, in_nodes, to_values
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.interpolants import in_nodes, quadratic_of
 from signorini_fenicsx.discrete.points import FacetPoints, in_cells
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
 from signorini_fenicsx.expressions.series import DEGREE
-from signorini_fenicsx.expressions.simplices import Quadratic, barycentric_gradients, constant
+from signorini_fenicsx.expressions.simplices import Quadratic, barycentric_gradients, constant, quadratic
 from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
@@ -122,7 +121,7 @@ def degree_near(trace: Trace) -> int:
 def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree, points: FacetPoints) -> Indices:
     """Owned cells at some facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
     vertices = points.vertices
-    p = quadratic_of(vertices, in_nodes(tree, vertices))
+    p = quadratic(vertices, in_nodes(tree, vertices))
     v = trace.v.x.array[facet_nodes(trace.v.function_space, points.facets)]
     above = np.maximum((v - _coefficients(p, vertices, trace)).min(axis=1, initial=np.inf), 0.0)
     beyond = _beyond(resolution, tree, vertices, p, above)
@@ -133,7 +132,7 @@ def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree, points: Face
 def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) -> Indices:
     """Owned cells where v may be beyond a bound in Ω, or is not quadratic (collective)."""
     vertices = resolution.vertices
-    p = quadratic_of(vertices, in_nodes(tree, vertices))
+    p = quadratic(vertices, in_nodes(tree, vertices))
     v = ray.sign * trace.v.x.array[cell_dofs(trace.v.function_space)]
     above = np.maximum((v - ray.sign * _coefficients(p, vertices, trace)).min(axis=1), 0.0)
     above[trace.altered] = 0.0
@@ -271,7 +270,7 @@ class PressedBound:
         enough = max((SHARE * resolution.error) ** 2 / max(comm.allreduce(size.sum()), SMALLEST), SMALLEST)
         rho = 2 * distances(tree, vertices, resolution.spaces.frame, np.full(len(vertices), enough / 4))
         rough = ~(rho <= enough / 2) & (size > 0)
-        p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
+        p = quadratic(vertices, in_nodes(tree, vertices)).of(rough)
         weight = np.full(len(p.value), 1 / (enough**2 * max(comm.allreduce(np.count_nonzero(rough)), 1)))
         means_of_rough = means(tree, vertices[rough], p, resolution.spaces.frame, weight)
         arms = points.x[rough] - vertices[rough].mean(axis=1, keepdims=True)

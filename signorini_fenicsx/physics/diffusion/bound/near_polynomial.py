@@ -20,16 +20,15 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX, positive_quadrature
-from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, jet, raised
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, in_nodes, jet, raised
 from signorini_fenicsx.discrete.cell_shapes import Entities
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.interpolants import as_basix, in_nodes
 from signorini_fenicsx.discrete.points import CellPoints, cells_of_facets, facet_quadrature, in_cells
 from signorini_fenicsx.expressions import Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import BESIDE, distances
 from signorini_fenicsx.expressions.products import EXACT, Products, products
 from signorini_fenicsx.expressions.series import DEGREE
-from signorini_fenicsx.expressions.simplices import barycentric_gradients, interpolated
+from signorini_fenicsx.expressions.simplices import barycentric_gradients, bernstein, interpolated
 from signorini_fenicsx.expressions.tree import polynomial_degree
 from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible
@@ -275,7 +274,7 @@ def _beside(pair: Admissible, p: Array, tolerance: float) -> tuple[Array, Array,
             rho = BESIDE * distances(tree, x[rows], frame, enough[rows], order)[:, None]
             quadratic = rho if order == 2 else BESIDE * distances(tree, x[rows], frame, enough[rows], 2)[:, None]
             nearest = (
-                (raised(as_basix(interpolated(tree, x[rows]), x[rows]), cell, order), quadratic),
+                (raised(bernstein(interpolated(tree, x[rows]), x[rows]), cell, order), quadratic),
                 (coefficients_of(in_nodes(tree, x[rows], order), cell), free[rows] * rho),
             )
             ends = [bound.sign * (near - tops[rows]) - depth[rows] + beyond for near, beyond in nearest]

@@ -19,7 +19,6 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.interpolants import quadratic_of
 from signorini_fenicsx.discrete.points import (
     CellPoints,
     FacetPoints,
@@ -29,7 +28,7 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.expressions.simplices import Polynomial, Quadratic, barycentric_gradients
+from signorini_fenicsx.expressions.simplices import Polynomial, Quadratic, barycentric_gradients, quadratic
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_FLUX,
@@ -153,7 +152,7 @@ def on_facets(
     projection = projected(values - means[:, None], facet, OF_FLUX, points.points, points.weights)
     places = points.points, quadratic_nodes(facet)
     in_points, in_nodes = (means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in places)
-    seen = Rest(quadratic_of(points.vertices, in_nodes), *_moments(values - in_points, weights))
+    seen = Rest(quadratic(points.vertices, in_nodes), *_moments(values - in_points, weights))
     return in_points, resolution.on_facets(name, datum, seen, points, metric)
 
 
@@ -191,7 +190,7 @@ def _remembered(
     nodes = np.concatenate(
         [u.values(some) for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), quadratic_nodes(cell))]
     )
-    p, norm, mean = quadratic_of(resolution.vertices, nodes), np.empty(number), np.empty(number)
+    p, norm, mean = quadratic(resolution.vertices, nodes), np.empty(number), np.empty(number)
 
     def values(points: CellPoints) -> Array:
         rest = u.values(points) - p.of(points.cells).at(points.arms)[:, :, 0]
@@ -255,7 +254,7 @@ def _load(
     if enclosed:
         cells, nodes = owned_cells(spaces.mesh)[~takes_f], quadratic_nodes(cell)
         of_nodes = np.concatenate([f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), nodes)])
-        p: Quadratic | Polynomial = quadratic_of(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
+        p: Quadratic | Polynomial = quadratic(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
         if of_load > OF_LAW:
             basis = orthonormal(cell, of_load)
             places, weights = basix.make_quadrature(cell, 2 * of_load)

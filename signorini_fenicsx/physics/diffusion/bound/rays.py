@@ -28,11 +28,17 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, make_linear, nodes_of, to_bernstein
+from signorini_fenicsx.discrete.bernstein import (
+    coefficients_of,
+    degree_of,
+    in_nodes,
+    make_linear,
+    nodes_of,
+    to_bernstein,
+)
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.continuity import jumps_inside
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.interpolants import in_nodes
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.expressions import Tree, is_polynomial
