@@ -6,7 +6,7 @@ They are those of the discrete problem: the program solves no other, so a Taylor
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -267,13 +267,8 @@ def _of_step(
         tolerance: Which sites are biactive.
         more: The derivatives of what comes later by what this step leaves, see `solving.evolution.Steps.functional`.
     """
-    solved = solution
-    solution, constants = with_constants(solution, controls)
-    for control in constants:
-        check_control(control)
-    problem, spaces = solution.linearised(tolerance), solution.spaces
-    check_unchanged(spaces, solved.data.given)
-    comm = spaces.mesh.comm
+    problem, constants = _linearised(solution, controls, tolerance)
+    spaces, comm = solution.spaces, solution.spaces.mesh.comm
     places = np.concatenate(comm.allgather(problem.places()))
     if len(places) > 0:  # a filter may make it an error
         on_root_only(comm, lambda: warnings.warn(NotDifferentiable(places, tolerance), stacklevel=7))
@@ -281,6 +276,20 @@ def _of_step(
     whole = J + sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
     value = sum(spaces.integrate(part) for part in parts_of(J))
     return value, [_by_control(spaces, whole, control) for control in constants], sensitivities
+
+
+def _linearised(solution: Any, controls: Iterable[Control | str], tolerance: float) -> tuple[Any, list[Control]]:
+    """The problem linearised at a solution, and the controls, with constants in the place of paths (collective).
+
+    Raises:
+        InputError: If a control is none, or was changed since the solve; if the solution has no derivatives.
+    """
+    posed, constants = with_constants(solution, controls)
+    for control in constants:
+        check_control(control)
+    problem = posed.linearised(tolerance)
+    check_unchanged(solution.spaces, solution.data.given)
+    return problem, constants
 
 
 def _refuse_steps(solution: Any) -> None:
@@ -311,12 +320,7 @@ def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance:
         NumericalFailure: If the sets of biactive sites do not settle.
     """
     _refuse_steps(solution)
-    solved = solution
-    solution, controls = with_constants(solution, direction)
-    for control in controls:
-        check_control(control)
-    problem = solution.linearised(tolerance)
-    check_unchanged(solution.spaces, solved.data.given)
+    problem, controls = _linearised(solution, direction, tolerance)
     moved = list(zip(controls, direction.values(), strict=True))
     used: set[int] = set()
 

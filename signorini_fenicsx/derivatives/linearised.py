@@ -24,7 +24,8 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.backend import Backend, Pairs, PlainBackend
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.loop import settled_change
-from signorini_fenicsx.discrete.seen import Seen
+from signorini_fenicsx.discrete.seen import Seen, values_seen
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_degree, law_points, lines_by_data
 
 type Solved = tuple[Array, Array, Any]
 """p and the flux of each site, and the change that has them."""
@@ -195,6 +196,18 @@ class HybridLinearised(Linearised):
     @abstractmethod
     def _solved(self, numbers: Mapping[str, Array], conditions: SiteConditions, segment: Indices) -> Solved:
         """The traces of the change on these segments, for these numbers (collective)."""
+
+    def _lines(
+        self, laws: VertexLaws, present: tuple[Indices, Array], penalty: Callable[[Chains], Chains] = lambda each: each
+    ) -> Iterator[tuple[str, Effect]]:
+        """What data of laws in points make of lines at vertices of facets, see `lines_by_data` (collective)."""
+        spaces = self._spaces
+        for part in laws.of_parts:
+            points, facets = law_points(spaces, part), spaces.contact.take(part.rows)
+            sites, degree = spaces.dim * part.rows[:, None] + np.arange(spaces.dim), law_degree(part)
+            for name, lines in lines_by_data(spaces, part, points, present, penalty):
+                seen = values_seen(spaces, part.data[name], facets, points, degree)
+                yield part.key(name), Effect("line", seen, sites, lines)
 
     def _responded(self, numbers: Mapping[str, Array], changes: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """What a hybrid system gives for changes: σ and u as it recovers them, and its unknowns (collective).

@@ -193,9 +193,14 @@ def vertex_laws(spaces: LinearTraces, parts: Sequence[PartLaw]) -> VertexLaws:
     return VertexLaws(tuple(parts), everywhere, p_h, flux_h, shared_compliance(everywhere, dim), dim)
 
 
+def law_degree(part: PartLaw) -> int:
+    """The degree of the quadrature in whose points a law is taken."""
+    return quadrature_degree(*part.data.values(), power=2)
+
+
 def law_points(spaces: LinearTraces, part: PartLaw) -> FacetPoints:
     """The points in which a law is taken (collective)."""
-    return facet_quadrature(spaces.mesh, spaces.facets[part.rows], quadrature_degree(*part.data.values(), power=2))
+    return facet_quadrature(spaces.mesh, spaces.facets[part.rows], law_degree(part))
 
 
 def vertex_graphs(
@@ -241,7 +246,6 @@ def lines_by_data(
     spaces: LinearTraces,
     part: PartLaw,
     points: FacetPoints,
-    directions: Array,
     present: tuple[Indices, Array],
     penalty: Callable[[Chains], Chains] = lambda chains: chains,
 ) -> Iterator[tuple[str, Array]]:
@@ -254,21 +258,20 @@ def lines_by_data(
         spaces: The spaces.
         part: A law.
         points: Those in which it is taken, see `law_points`.
-        directions: Changes of a datum there, shape (facets, points, directions).
         present: The segment of each vertex of the facets of Γ_S, and p there, in means.
         penalty: What a penalty makes of the graphs.
 
     Yields:
-        A name, and the derivatives in these directions, shape (facets, d, directions).
+        A name, and the derivatives by the datum in each point, shape (facets, d, points).
     """
     dim, facets = spaces.dim, spaces.contact.take(part.rows)
     sites = (dim * part.rows[:, None] + np.arange(dim)).ravel()
     segment, p = (each[sites] for each in present)
     values = {name: datum.values(points).ravel() for name, datum in part.data.items()}
     for name in [name for name, datum in part.data.items() if datum.pieces is None]:
-        changes = np.empty((len(part.rows), dim, directions.shape[2]))
-        for number in range(directions.shape[2]):
-            step = 1j * COMPLEX_STEP * directions[:, :, number].ravel()
+        changes = np.empty((len(part.rows), dim, points.shape[1]))
+        for number, unit in enumerate(np.eye(points.shape[1])):
+            step = 1j * COMPLEX_STEP * np.tile(unit, len(part.rows))
             graph = part.law.falling(values | {name: values[name] + step})
             chains, of_p, of_flux = vertex_graphs(facets, points, graph)
             chains = penalty(chains)

@@ -287,10 +287,11 @@ class Solved(ABC):
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         raise InputError(f"solutions of {self.physics} have no derivatives")
 
-    def kept_backend[B](self, kind: type[B]) -> B | None:
-        """The backend of what has solved it, if it is still set up for this solution and of this kind; else None."""
+    def backend_of[B](self, kind: Callable[..., B]) -> B:
+        """What has solved it, if it is of this kind and still set up for this solution; else a new one (collective)."""
         system = None if self.system is None else self.system()
-        return None if system is None else system.kept.of(self.outcome, kind)
+        kept = None if system is None else system.kept.of(self.outcome, kind)
+        return kept or kind(self.spaces, self.data, tuning=self.options.tuning)
 
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, which knows the change with its data (collective).

@@ -284,7 +284,7 @@ def test_kept_factors(options: Options):
         assert kept.u.x.array == pytest.approx(fresh.u.x.array, abs=1e-11)
         assert found[0].gradients == pytest.approx(found[1].gradients, rel=1e-9)
         present.append(solver._system.kept.present)
-        assert kept.kept_backend(type(present[0])) is present[0] is present[-1]
+        assert kept.backend_of(type(present[0])) is present[0] is present[-1]
     assert present[-1].cheap or options is RT1
 
 

@@ -34,7 +34,6 @@ from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import facet_quadrature
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points, values_seen
-from signorini_fenicsx.discrete.vertex_laws import law_points, lines_by_data
 from signorini_fenicsx.physics.diffusion.derivative.linearised import check_differentiable
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
@@ -94,16 +93,9 @@ class LinearisedFluxes(HybridLinearised):
 
     def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
         """See `Linearised.lines` (collective)."""
-        spaces, solution = self._spaces, self._solution
-        present, number = (segment, solution.iterate.means), np.arange(len(self._held)).reshape(-1, spaces.dim)
-        penalty, eps = solution.method.penalty, solution.options.eps
-        for part in self._data.laws_at.of_parts:
-            points, degree = law_points(spaces, part), quadrature_degree(*part.data.values(), power=2)
-            units, facets = _units(len(part.rows), len(points.points)), spaces.contact.take(part.rows)
-            changed = partial(Chains.with_penalty, penalty=penalty, eps=eps)
-            for name, lines in lines_by_data(spaces, part, points, units, present, changed):
-                seen = values_seen(spaces, part.data[name], facets, points, degree)
-                yield part.key(name), Effect("line", seen, number[part.rows], lines)
+        solution = self._solution
+        penalty = partial(Chains.with_penalty, penalty=solution.method.penalty, eps=solution.options.eps)
+        return self._lines(self._data.laws_at, (segment, solution.iterate.means), penalty)
 
     def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function]:
         """The changes of σ, u and p with these numbers (collective).
@@ -240,6 +232,4 @@ def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
     check_differentiable(solution)
     if solution.data.quasilinear is not None:
         raise InputError("derivatives: with RT1 there are none where κ depends on u; take RT0")
-    backend = solution.kept_backend(LinearBackend)
-    backend = backend or LinearBackend(solution.spaces, solution.data, solution.options.tuning)
-    return LinearisedFluxes(solution, backend, solution.law, tolerance)
+    return LinearisedFluxes(solution, solution.backend_of(LinearBackend), solution.law, tolerance)

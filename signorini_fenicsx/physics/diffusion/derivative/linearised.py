@@ -350,8 +350,5 @@ def linearised(solution: Solution, tolerance: float) -> LinearisedDiffusion:
             f"{solution.options.algorithm_name} solves another discrete problem; alg1 to alg4 have derivatives"
         )
     check_differentiable(solution)
-    backend = solution.kept_backend(HybridBackend) or HybridBackend(
-        solution.spaces, solution.data, tuning=solution.options.tuning
-    )
     kind = LinearisedDiffusion if solution.data.quasilinear is None else LinearisedByU
-    return kind(solution, backend, solution.law, tolerance)
+    return kind(solution, solution.backend_of(HybridBackend), solution.law, tolerance)

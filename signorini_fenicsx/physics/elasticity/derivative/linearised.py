@@ -32,7 +32,7 @@ from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, S
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.linear.gmres import gmres
-from signorini_fenicsx.physics.elasticity.derivative.moments import of_friction, of_laws, on_boundary
+from signorini_fenicsx.physics.elasticity.derivative.moments import of_friction, on_boundary
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, entries, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -90,7 +90,7 @@ class LinearisedElasticity(HybridLinearised):
         """See `Linearised.lines`; μ is among them (collective)."""
         normal, slip = self._spaces.site_kinds
         directions = self._backend.friction.directions(slip.of(segment))
-        yield from of_laws(self._spaces, self._data.laws, normal.of(segment), self._solution.gap.ravel())
+        yield from self._lines(self._data.laws, (normal.of(segment), self._solution.gap.ravel()))
         yield from of_friction(self._spaces, self._solution.problem, directions)
 
     def refused(self, chains: Chains) -> Mask:
@@ -275,9 +275,7 @@ def linearised(solution: ElasticSolution, tolerance: float) -> LinearisedElastic
         raise InputError("derivatives are not there where a tool moves under a given force")
     if solution.problem.joint:
         raise InputError("derivatives are not there with springs along a joint")
-    backend = solution.kept_backend(ElasticBackend)
-    if backend is None:
-        backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning)
+    backend = solution.backend_of(ElasticBackend)
     if backend.friction.in_space:
         backend.turn(backend.friction.turned(solution.spaces.site_kinds["slip"].rows_of(solution.outcome.iterate.p)))
     return LinearisedElasticity(solution, backend, backend.chains, tolerance)

@@ -11,7 +11,6 @@ from signorini_fenicsx.derivatives.linearised import Effect
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
 from signorini_fenicsx.discrete.seen import moments_seen
-from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_points, lines_by_data
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
@@ -87,28 +86,6 @@ def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Arra
                 kind, places = "line", sites[rows]
                 matrices = shear[rows].reshape(len(rows), dim * (dim - 1), dim) @ matrices
             yield from _of_datum(spaces, f"{key}.{part}", kind, datum, facets, places, matrices)
-
-
-def of_laws(spaces: ElasticSpaces, laws: VertexLaws, segment: Indices, opening: Array) -> Iterator[tuple[str, Effect]]:
-    """What the moments of the data of laws make: the lines of these segments, see `lines_by_data` (collective).
-
-    Args:
-        spaces: The spaces.
-        laws: The laws.
-        segment: The segment of each facet vertex of Γ_C.
-        opening: The opening there, in means.
-
-    Raises:
-        InputError: If a datum is not linear in x.
-    """
-    for part in laws.of_parts:
-        facets, points = spaces.contact.take(part.rows), law_points(spaces, part)
-        places = spaces.dim * part.rows[:, None] + np.arange(spaces.dim)
-        hats = np.column_stack([1 - points.points.sum(axis=1), points.points])[:, facets.ranking].transpose(1, 0, 2)
-        for name, lines in lines_by_data(spaces, part, points, hats, (segment, opening)):
-            key, datum = part.key(name), part.data[name]
-            _check_linear(key, datum)
-            yield from _of_datum(spaces, key, "line", datum, facets, places, lines @ _to_values(facets))
 
 
 def _check_linear(key: str, datum: Datum) -> None:
