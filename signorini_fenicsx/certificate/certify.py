@@ -30,6 +30,7 @@ from signorini_fenicsx.base.errors import InputError, check_kind, holding
 from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.physics import PHYSICS
@@ -93,6 +94,8 @@ def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
     bounds = PHYSICS[solution.physics].bound
     if bounds is None:
         raise InputError(f"{solution.physics}: no bound of functions is known")
+    if why := pairs_without_bound(solution.spaces):
+        raise InputError(f"v: {why}")
     _check(solution, v)
     with holding(solution):
         bound: FieldBound = bounds.of_field(solution, v)
@@ -222,7 +225,9 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
     """
     bounds, watch = PHYSICS[solution.physics].bound, Stopwatch()
     if bounds is None:
-        return no_bound(solution)
+        return _no_bound(solution, f"none is known for {solution.physics}")
+    if why := pairs_without_bound(solution.spaces):
+        return _no_bound(solution, why)
     with watch.phase("certificate"), holding(solution):
         certificate = certify(bounds)
         names = lost_digits(solution) if certificate.proved else ()
@@ -232,7 +237,7 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def no_bound(solution: Solved, why: str = "") -> Certificate:
+def _no_bound(solution: Solved, why: str) -> Certificate:
     """No bound, and why (collective)."""
     spaces, infinite = solution.spaces, math.inf
     return Certificate(
@@ -248,5 +253,5 @@ def no_bound(solution: Solved, why: str = "") -> Certificate:
         coarse=np.zeros(len(spaces.cell_measures), dtype=bool),
         indicator=fem.Function(spaces.Q, name="indicator"),
         v=solution.u,
-        if_none=why or f"none is known for {solution.physics}",
+        if_none=why,
     )

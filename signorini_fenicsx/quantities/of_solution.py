@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from signorini_fenicsx.base.errors import InputError, check_kind, holding
+from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities.beside import Beside
@@ -37,11 +38,13 @@ def quantity(solution: Solved, kind: Kind, near: Quantity | None = None) -> Quan
     """The interval for a quantity, see `Solved.quantity` (collective).
 
     Raises:
-        InputError: If it is not one of this problem.
+        InputError: If it is not one of this problem, or both sides of a pair of surfaces are not on one process.
         NumericalFailure: If a linear solver fails; it holds the solution.
     """
     check_kind("solution", solution, Solved)
     check_quantities(solution.spaces.domain, solution.problem, [kind])
+    if why := pairs_without_bound(solution.spaces):
+        raise InputError(f"{type(kind).__name__}: {why}")
     physics: Quantities = PHYSICS[solution.physics].quantities
     with holding(solution):
         if isinstance(kind, Energy):

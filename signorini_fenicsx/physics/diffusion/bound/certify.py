@@ -45,9 +45,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
-from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.certificate.laws import Area, gap
-from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.points import facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
@@ -89,8 +87,6 @@ def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certif
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
     """
-    if why := pairs_without_bound(solution.spaces):
-        return no_bound(solution, why)
     if (of_w := linear_solution(solution)) is not None:
         return bound_by(solution, of_w, certificate_of(of_w))
     with np.errstate(all="ignore"):  # of data that are unbounded the certificate tells

@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.certificate.certify import FieldBound, joined
-from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
@@ -18,13 +16,7 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
 def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
-    """The bounds of a scalar v (collective).
-
-    Raises:
-        InputError: If both sides of a pair of surfaces are not on one process.
-    """
-    if why := pairs_without_bound(solution.spaces):
-        raise InputError(f"v: {why}")
+    """The bounds of a scalar v (collective)."""
     goal = Goal.of(solution, for_signorini=True)
     comm = solution.spaces.mesh.comm
     with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell

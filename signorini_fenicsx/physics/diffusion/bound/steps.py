@@ -22,8 +22,6 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells
 from signorini_fenicsx.certificate.certificate import Certificate
-from signorini_fenicsx.certificate.certify import no_bound
-from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import CellPoints, Points, cell_quadrature
 from signorini_fenicsx.expressions.simplices import constant
@@ -114,8 +112,6 @@ class StepBounds:
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
         steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
-        if why := pairs_without_bound(solution.spaces):
-            return no_bound(solution, why)
         if solution.data.stored is not None:  # what it takes, less what it stores, is constant on each cell
             return certificate_of(solution)
         if instant.step == 1:

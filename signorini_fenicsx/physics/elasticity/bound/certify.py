@@ -37,8 +37,6 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cells_behind, sums_at
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
-from signorini_fenicsx.certificate.certify import no_bound
-from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
@@ -84,8 +82,6 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     """
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    if why := pairs_without_bound(solution.spaces):
-        return no_bound(solution, why)
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
     v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, degree_of(data))

@@ -15,7 +15,6 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
-from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, opposite
@@ -159,16 +158,7 @@ class _Side:
 
 
 class _Beside(Beside[_Side]):
-    """Elastic problems beside that of a solution.
-
-    Raises:
-        InputError: If there is no bound for a pair of surfaces (collective).
-    """
-
-    def __init__(self, solution: ElasticSolution, kind: Kind):
-        if why := pairs_without_bound(solution.spaces):
-            raise InputError(f"{type(kind).__name__}: {why}")
-        super().__init__(solution, kind)
+    """Elastic problems beside that of a solution."""
 
     def memory(self, tau: float) -> FromBefore:
         """The slip of the last step in time, and Coulomb's bounds of the shear."""

@@ -11,7 +11,6 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
-from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.expressions import Tree
@@ -89,8 +88,6 @@ def energy(solution: ElasticSolution) -> Quantity:
     with the integral over the slaves. The last two terms are in its gap, too: so the lower bound has that of v.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
-    if why := pairs_without_bound(solution.spaces):
-        raise InputError(f"Energy: {why}")
     if spaces.joints and data.laws.of_parts:
         raise InputError("Energy: of pairs there is none with other laws than contact and friction")
     y = admissible_stress(solution)
