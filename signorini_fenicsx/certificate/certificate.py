@@ -66,6 +66,9 @@ class Certificate:
     """A bound for |v − u| and for ‖σ − σ_h‖, see the module; infinite where no v is admissible.
 
     Attributes:
+        coarse: Mask of the owned cells where data are not resolved.
+        indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
+        v: The continuous v in P2, of RT1 in P3, with interpolated u_D and ψ; in elasticity on the split mesh.
         bound: √(2 gap) + oscillation + remainder, for either error.
         sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
         gap: ½‖κ∇v − y‖² and what the laws add to it, in elasticity ½‖ℂ(ε(v) − ε₀) − y‖².
@@ -76,9 +79,6 @@ class Certificate:
         proved: Whether all data are enclosed and resolved, so that the bound is proved, for the solution `of`.
         by_quadrature: The data that are not enclosed: those given in Python, and loads without Γ_D.
         unresolved: Data that are not resolved, each with a place; the same on all ranks.
-        coarse: Mask of the owned cells where data are not resolved.
-        indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
-        v: The continuous v in P2, of RT1 in P3, with interpolated u_D and ψ; in elasticity on the split mesh.
         of: To which solution the error is, in words; empty if it is that of the problem.
         about: What a summary says besides.
         lacking: What is missing for the data in `by_quadrature`.
@@ -86,18 +86,18 @@ class Certificate:
         if_none: Why the bound is infinite; empty if it is not.
     """
 
-    bound: float
-    sigma_bound: float
-    gap: float
-    oscillation: float
-    remainder: float
-    relative: float
-    proved: bool
-    by_quadrature: tuple[str, ...]
-    unresolved: Places
     coarse: npt.NDArray[np.bool_]
     indicator: fem.Function
     v: fem.Function
+    bound: float = math.inf
+    sigma_bound: float = math.inf
+    gap: float = math.inf
+    oscillation: float = math.inf
+    remainder: float = math.inf
+    relative: float = math.inf
+    proved: bool = False
+    by_quadrature: tuple[str, ...] = ()
+    unresolved: Places = ()
     of: str = ""
     about: Mapping[str, Any] = field(default_factory=dict)
     lacking: str = "by quadrature"
@@ -158,8 +158,8 @@ class Gap:
         hindrance: Why no v is admissible, in words; empty if one is.
         unbalanced: Why y is not admissible, if it is not.
         by_quadrature: The data that are not enclosed.
-        account: The data that are not resolved where the bound is this number (collective).
-        coarse: Gives the mask of the owned cells where they are not resolved, after that.
+        account: Gives the data that are not resolved where the bound is this number, and the owned cells where they are
+            not, as a mask (collective).
     """
 
     squares: Array
@@ -169,9 +169,8 @@ class Gap:
     v: fem.Function
     hindrance: str
     unbalanced: str
-    by_quadrature: tuple[str, ...] = ()
-    account: Callable[[float], Places] = lambda bound: ()
-    coarse: Callable[[], npt.NDArray[np.bool_]] | None = None
+    by_quadrature: tuple[str, ...]
+    account: Callable[[float], tuple[Places, npt.NDArray[np.bool_]]]
 
     def _not_finite(self, spaces: MeshSpaces) -> str:
         """Which part of the sum is not finite, with the first place; no cause, as many are possible (collective)."""
@@ -200,7 +199,7 @@ class Gap:
             gap = max(gap, 0.0)  # < 0 by rounding
             bound = np.sqrt(2 * gap) + np.sqrt(oscillation) + remainder
             sigma_bound = np.sqrt(2 * gap + oscillation) + remainder
-        unresolved = self.account(float(bound))
+        unresolved, coarse = self.account(float(bound))
         PETSc.garbage_cleanup(comm)
         return Certificate(
             bound=float(bound),
@@ -212,7 +211,7 @@ class Gap:
             proved=not if_none and not unresolved and not self.by_quadrature,
             by_quadrature=self.by_quadrature,
             unresolved=unresolved,
-            coarse=np.zeros(len(self.squares), dtype=bool) if self.coarse is None else self.coarse(),
+            coarse=coarse,
             indicator=indicator,
             v=self.v,
             if_none=if_none,

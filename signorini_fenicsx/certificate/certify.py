@@ -224,10 +224,11 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
         NumericalFailure: If a linear solver fails; it holds the solution.
     """
     bounds, watch = PHYSICS[solution.physics].bound, Stopwatch()
-    if bounds is None:
-        return _no_bound(solution, f"none is known for {solution.physics}")
-    if why := pairs_without_bound(solution.spaces):
-        return _no_bound(solution, why)
+    why = pairs_without_bound(solution.spaces) if bounds else f"none is known for {solution.physics}"
+    if bounds is None or why:
+        spaces = solution.spaces
+        nowhere = np.zeros(len(spaces.cell_measures), dtype=bool)
+        return Certificate(nowhere, fem.Function(spaces.Q, name="indicator"), solution.u, if_none=why)
     with watch.phase("certificate"), holding(solution):
         certificate = certify(bounds)
         names = lost_digits(solution) if certificate.proved else ()
@@ -235,23 +236,3 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
         about = {key: value for key, value in certificate.about.items() if key != "guaranteed_for"}
         certificate = replace(certificate, proved=False, by_quadrature=names, lacking=LOST, about=about)
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
-
-
-def _no_bound(solution: Solved, why: str) -> Certificate:
-    """No bound, and why (collective)."""
-    spaces, infinite = solution.spaces, math.inf
-    return Certificate(
-        bound=infinite,
-        sigma_bound=infinite,
-        gap=infinite,
-        oscillation=infinite,
-        remainder=infinite,
-        relative=infinite,
-        proved=False,
-        by_quadrature=(),
-        unresolved=(),
-        coarse=np.zeros(len(spaces.cell_measures), dtype=bool),
-        indicator=fem.Function(spaces.Q, name="indicator"),
-        v=solution.u,
-        if_none=why,
-    )

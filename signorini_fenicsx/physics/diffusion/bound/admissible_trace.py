@@ -40,23 +40,21 @@ class Trace:
 
     Attributes:
         v: Quadratic on cells, for RT1 cubic, with the values of u_D in its nodes on Γ_D.
-        exact: Gives the jet of the admissible function: v with u_D itself on Γ_D, and within the bounds on Γ_S; None if
-            that is v.
         on_gamma_s: Gives the admissible function, inside the domain its jump, in points of all facets of Γ_S.
-        cells: Owned cells on which v and exact may differ.
+        cells: Owned cells on which the admissible function may not be v: there it is u_D itself on Γ_D, and within the
+            bounds on Γ_S.
         at_dirichlet: Those of these cells where u_D itself enters.
         touching: Those of these cells where data that hold u on Γ_S enter themselves.
         altered: Those of these cells where not only a bound in Ω may make a difference.
         hindrance: Why no continuous function is admissible, in words; empty if one is. The same on all ranks.
         degree: Degree of a quadrature in `cells`.
-        parts: What it is made of.
+        parts: What the admissible function is made of.
         lacking: ‖κ^½∇d‖ on the owned cells, at most, for the d that slaves of pairs need besides, see
             `certificate.opposite`.
         lacked: ‖d‖ there.
     """
 
     v: fem.Function
-    exact: Callable[..., Array] | None
     on_gamma_s: Callable[[FacetPoints], Array]
     cells: Indices
     at_dirichlet: Indices
@@ -70,9 +68,7 @@ class Trace:
 
     def jet(self, points: Points, *, near: bool, gradient: bool = False) -> Array:
         """The jet of the admissible function in points of `cells` (near) or of others (collective)."""
-        if near and self.exact is not None:
-            return self.exact(points, gradient=gradient)
-        return points.bernstein(self.v, gradient=gradient)
+        return self.parts.jet(points, gradient=gradient) if near else points.bernstein(self.v, gradient=gradient)
 
 
 def bernstein(mesh: dolfinx.mesh.Mesh, degree: int = 2) -> fem.FunctionSpace:

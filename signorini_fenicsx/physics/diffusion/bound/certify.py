@@ -108,8 +108,7 @@ def summed(admissible: Admissible, parts: GapParts) -> Certificate:
         hindrance=admissible.trace.hindrance,
         unbalanced=admissible.unbalanced,
         by_quadrature=tuple(sorted(resolution.by_quadrature)),
-        account=lambda bound: resolution.account(enclosed / bound if bound > 0 else 0.0),
-        coarse=lambda: resolution.coarse,
+        account=lambda bound: (resolution.account(enclosed / bound if bound > 0 else 0.0), resolution.coarse),
     )
     certificate = gap.certificate(spaces)
     if admissible.goal.of_penalty:

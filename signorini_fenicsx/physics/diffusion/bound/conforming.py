@@ -62,7 +62,7 @@ from signorini_fenicsx.physics.diffusion.bound.levels import levels
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.rays import BoundedSimplices, Ray
-from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, Weight, relax
+from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Stiffness, Weight, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.nodes import (
@@ -146,10 +146,10 @@ def law_trace(
     if jumps.basis is not None:
         _join_at_meetings(v, jumps, spaces.inner.rows, at_meeting, limits, on_dirichlet)
     given, without = np.union1d(known, jumps.meets), (np.zeros(len(v.x.array)), None)
-    load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside) if field is None else without
-    weight, pull = _weight(solution), None if pieces is None else pieces.springs(space)
-    flux, by_nodes = (_driving(data, y), on.by_nodes) if field is None else (weight[0] * ufl.grad(near), False)
-    relax(v, spaces, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
+    load, beta = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside) if field is None else without
+    stiffness = Stiffness(spaces, _weight(solution), beta, None if pieces is None else pieces.springs(space))
+    flux, by_nodes = (_driving(data, y), on.by_nodes) if field is None else (stiffness.kappa[0] * ufl.grad(near), False)
+    relax(v, stiffness, flux, load, given, box, jumps, by_nodes=by_nodes)
     jumps.undone(v)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]  # where a slave is tied to what is given otherwise
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
@@ -277,8 +277,8 @@ def _within(*ends: tuple[Array, Array]) -> tuple[Array, Array]:
 
 def _on_gamma_s(
     on: OnGammaS, v: fem.Function, nodes: Indices, at_meeting: Mask, jumps: Jumps, inside: Inside
-) -> tuple[Array, Robin | None]:
-    """The slope of the gap on Γ_S and on bounds in Ω per node of this rank, and the springs on Γ_S (collective).
+) -> tuple[Array, fem.Function | None]:
+    """The slope of the gap on Γ_S and on bounds in Ω per node of this rank, and β of springs on Γ_S (collective).
 
     On facets inside the domain it is for the jumps.
     """
@@ -296,8 +296,7 @@ def _on_gamma_s(
         on_v += in_cells.x.array[: numbers.size_local]
     load[: numbers.size_local] += jumps.transposed(on_v)
     slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
-    rubs = comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
-    return load, (spaces, slope) if rubs else None
+    return load, slope if comm.allreduce(bool(slope.x.array.any()), MPI.LOR) else None
 
 
 def _hindrance(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Sequence[npt.NDArray[Any]]) -> str:
@@ -366,7 +365,6 @@ def _with_exact_data(
     lacking, hindrance = _jumps_judged(trace, on, inside, hindrance)
     return Trace(
         v=trace.v,
-        exact=trace.jet if trace.bounds or changed else None,
         on_gamma_s=partial(trace.on_gamma_s, spaces),
         cells=_cells_with(changed, linear),
         at_dirichlet=_cells_with([each for each in changed if each is near_dirichlet], linear),

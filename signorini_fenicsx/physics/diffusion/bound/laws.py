@@ -66,10 +66,7 @@ class LawPoints:
 
     def on(self, segment: Indices) -> tuple[Array, Array]:
         """β and value of a segment of each facet, shape (facets, points)."""
-        column = np.repeat(segment, self.points.shape[1])[:, None]
-        chosen = (np.take_along_axis(values, column, axis=1) for values in (self.law.slope, self.law.value))
-        slope, value = (values.reshape(self.points.shape) for values in chosen)
-        return slope, value
+        return self._at(self.law.slope, segment), self._at(self.law.value, segment)
 
     def traces(self, segment: Indices) -> list[Array]:
         """The least and the largest u of a segment of each facet, shape (facets, points)."""

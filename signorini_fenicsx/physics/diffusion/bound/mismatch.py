@@ -285,7 +285,7 @@ class Energies:
             cells = piece.cells[rough[piece.cells]]
             ends = CellPoints(mesh, cells.astype(np.int32), nodes(mesh.basix_cell(), self._order), np.empty(0))
             local = field.slope(ends, near=False), field.flux_at(ends)
-            of_cells = _InParts(resolution, piece, cells, *local, volume[cells], total).squares()
+            of_cells = _in_parts(resolution, piece, cells, *local, volume[cells], total)
             bounded = np.isfinite(of_cells.small)
             resolution.note("kappa", resolution.vertices[cells[~bounded]].mean(axis=1), cells[~bounded])
             squares.small[cells[~bounded]] = squares.large[cells[~bounded]] = 0.0
@@ -331,11 +331,12 @@ class _Field:
         return np.zeros((*points.shape, points.mesh.geometry.dim)) if self.flux is None else self.flux.at(points)
 
 
-@dataclass(frozen=True)
-class _InParts:
-    """Squares on some cells that are cut into parts.
+def _in_parts(
+    resolution: Resolution, piece: Conductivity, cells: Indices, slope: Array, flux: Array, volume: Array, total: float
+) -> Squares:
+    """The squares on some cells, which are cut into parts (collective).
 
-    Attributes:
+    Args:
         resolution: Encloses κ.
         piece: κ there.
         cells: The cells.
@@ -344,54 +345,40 @@ class _InParts:
         volume: Of the cells.
         total: So much may be missed of all squares together.
     """
+    vertices, frame = resolution.vertices[cells], resolution.spaces.frame
+    centre, hats = vertices.mean(axis=1), barycentric_gradients(vertices)
+    cell, order = SIMPLEX[vertices.shape[2]], _order(resolution)
+    points, weights = positive_quadrature(cell, 2 * (DEGREE + order))
+    barycentric, rule = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
+    shares, of_nodes = exponents(cell, order) / order, interpolation(cell, order, points)
+    of_ends = interpolation(cell, order, _nearer(points, 1 / INSIDE))
+    fields = [[coefficients_of(component, cell) for component in np.moveaxis(each, 2, 0)] for each in (slope, flux)]
 
-    resolution: Resolution
-    piece: Conductivity
-    cells: Indices
-    slope: Array
-    flux: Array
-    volume: Array
-    total: float
+    def look(parts: Parts, *remainders: Remainder) -> Array:
+        rows, corners = parts.own, parts.vertices.shape[1]
+        at = 1 / corners + np.einsum("nqi,nvi->nqv", parts.vertices - centre[rows, None], hats[rows])
+        near = 1 / corners + INSIDE * (shares - 1 / corners)
 
-    def squares(self) -> Squares:
-        """The squares on these cells (collective)."""
-        vertices, frame = self.resolution.vertices[self.cells], self.resolution.spaces.frame
-        centre, hats = vertices.mean(axis=1), barycentric_gradients(vertices)
-        cell, order = SIMPLEX[vertices.shape[2]], _order(self.resolution)
-        points, weights = positive_quadrature(cell, 2 * (DEGREE + order))
-        barycentric, rule = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
-        shares, of_nodes = exponents(cell, order) / order, interpolation(cell, order, points)
-        of_ends = interpolation(cell, order, _nearer(points, 1 / INSIDE))
-        fields = [
-            [coefficients_of(component, cell) for component in np.moveaxis(each, 2, 0)]
-            for each in (self.slope, self.flux)
-        ]
+        def of(field: list[Array], places: Array) -> Array:
+            return np.concatenate([jet(each[rows], places @ at) for each in field], axis=2)
 
-        def look(parts: Parts, *remainders: Remainder) -> Array:
-            rows, corners = parts.own, parts.vertices.shape[1]
-            at = 1 / corners + np.einsum("nqi,nvi->nqv", parts.vertices - centre[rows, None], hats[rows])
-            near = 1 / corners + INSIDE * (shares - 1 / corners)
+        w = of_ends @ scaled(inverted(piece.at(near @ parts.vertices)), of(fields[1], near))
+        slope, y = (of_nodes @ of(each, shares) for each in fields)
+        kappa = piece.at(barycentric @ parts.vertices)
+        off = scaled(kappa, slope) - y
+        rho, least = piece.distance(remainders, DEGREE), piece.least(parts.vertices, remainders)
+        seen = _product(off, scaled(inverted(kappa), off)) @ rule
+        return np.stack([seen, *_missed(kappa, slope, y, w, rule, rho, least)], axis=1)
 
-            def of(field: list[Array], places: Array) -> Array:
-                return np.concatenate([jet(each[rows], places @ at) for each in field], axis=2)
+    def need(parts: Parts, of_parts: Array) -> Array:
+        seen, small, _ = of_parts.T
+        wanted = volume[parts.own] * parts.share * small / max(total, 1e-300)
+        return np.where(small <= CLOSE * seen, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
 
-            w = of_ends @ scaled(inverted(self.piece.at(near @ parts.vertices)), of(fields[1], near))
-            slope, y = (of_nodes @ of(each, shares) for each in fields)
-            kappa = self.piece.at(barycentric @ parts.vertices)
-            off = scaled(kappa, slope) - y
-            rho, least = self.piece.distance(remainders, DEGREE), self.piece.least(parts.vertices, remainders)
-            seen = _product(off, scaled(inverted(kappa), off)) @ rule
-            return np.stack([seen, *_missed(kappa, slope, y, w, rule, rho, least)], axis=1)
-
-        def need(parts: Parts, of_parts: Array) -> Array:
-            seen, small, _ = of_parts.T
-            wanted = self.volume[parts.own] * parts.share * small / max(self.total, 1e-300)
-            return np.where(small <= CLOSE * seen, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
-
-        parts, of_parts = in_parts(self.piece.trees, vertices, frame, look, need, self.piece.smallest)
-        share = parts.share[:, None] * of_parts
-        share[np.isnan(share)] = np.inf
-        return Squares(*(self.volume * np.bincount(parts.own, column, len(self.cells)) for column in share.T))
+    parts, of_parts = in_parts(piece.trees, vertices, frame, look, need, piece.smallest)
+    share = parts.share[:, None] * of_parts
+    share[np.isnan(share)] = np.inf
+    return Squares(*(volume * np.bincount(parts.own, column, len(cells)) for column in share.T))
 
 
 def _order(resolution: Resolution) -> int:

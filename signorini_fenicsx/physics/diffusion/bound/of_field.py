@@ -29,7 +29,7 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         to_bernstein(field)
         flux, of_field = (
             solution.data.driving(solution.cell_flux),
-            replace(pair.trace, v=field, exact=None, cells=pair.trace.cells[:0]),
+            replace(pair.trace, v=field, cells=pair.trace.cells[:0]),
         )
         squares = pair.energies.squares(flux, of_field)
         most = (np.sqrt(squares.most) + pair.off_b) ** 2

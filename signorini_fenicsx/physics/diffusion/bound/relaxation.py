@@ -1,7 +1,6 @@
 """A smaller gap of v, a quadratic function of Bernstein coefficients between bounds on Γ_S."""
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +23,6 @@ from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 type Indices = npt.NDArray[np.int32]
-type Robin = tuple[Spaces, fem.Function]
 type Weight = tuple[Expr, ufl.Measure]
 """κ_h or κ, with the measure in which it is to be integrated."""
 
@@ -107,16 +105,56 @@ class SpringsInCells:
     constant: float
 
 
+@dataclass(frozen=True)
+class Stiffness:
+    """The quadratic part of the gap, (κ∇u, ∇v) + ⟨βu, v⟩ on Γ_S and in Ω.
+
+    Attributes:
+        spaces: Where the jumps of v are.
+        kappa: κ_h, or κ.
+        beta: β in P0(Γ_S); None for 0.
+        springs: Of laws in Ω; None for none.
+    """
+
+    spaces: Spaces
+    kappa: Weight
+    beta: fem.Function | None = None
+    springs: SpringsInCells | None = None
+
+    def form(self, u: Expr, v: Expr, part: str = "full", *, on_gamma_s: bool = True) -> fem.Form:
+        """The form, or the diagonal of its matrix; with the part on Γ_S or without (collective)."""
+        form, maps = stiffness(u, v, self.kappa[1], self.kappa[0]), []
+        if self.springs is not None:
+            form += self.springs.beta * u * v * ufl.dx
+        if on_gamma_s and self.beta is not None:
+            form, maps = form + self.rubbing(u, v), [self.spaces.entity_map]
+        return fenicsx.form(form, options={"part": part}, entity_maps=maps)
+
+    def rubbing(self, u: Expr, v: Expr) -> ufl.Form:
+        """⟨βu, v⟩ on Γ_S."""
+        return self.beta * u * v * self.spaces.ds
+
+    def matrix(self, space: fem.FunctionSpace, jumps: Jumps) -> PETSc.Mat:
+        """The matrix, in the jumps if there are any (collective)."""
+        trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
+        if jumps.basis is None:
+            return _assembled(self.form(trial, test))
+        matrix = _assembled(self.form(trial, test, on_gamma_s=False)).ptap(jumps.basis[0])
+        if self.beta is not None:
+            rubbing, size = _assembled(self.spaces.form(self.rubbing(trial, test))), space.dofmap.index_map.size_local
+            tips = jumps.tips[jumps.tips < size].astype(np.int32)
+            rubbing.zeroRowsColumns(tips + rubbing.getOwnershipRange()[0], diag=0.0)
+            matrix.axpy(1.0, rubbing)
+        return matrix
+
+
 def relax(
     v: fem.Function,
-    spaces: Spaces,
+    stiffness: Stiffness,
     y: Expr,
-    kappa: Weight,
     excess: Array,
     fixed: Indices,
     box: Box,
-    robin: Robin | None,
-    springs: SpringsInCells | None,
     jumps: Jumps,
     *,
     by_nodes: bool,
@@ -128,19 +166,16 @@ def relax(
 
     Args:
         v: Bernstein coefficients within their bounds, with ghosts; changed in place.
-        spaces: Where the jumps of v are.
+        stiffness: Of the gap.
         y: Flux, in RT0 or of a function.
-        kappa: κ_h, or κ.
         excess: ∫ (y·n − level) φ on Γ_S, with the forces of bounds in Ω, per node φ of this rank.
         fixed: Nodes on Γ_D.
         box: The bounds.
-        robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
-        springs: Of laws in Ω.
         jumps: The jumps at facets inside the domain, which v has in it.
         by_nodes: First v is on its bound in the nodes that would be beyond it after one Jacobi step of the excess
             alone: where (κ_h∇v − y, ∇φ) = 0 that is a step of the gap.
     """
-    gap = _Gap(v.function_space, spaces, y, kappa, excess, box.faced(excess), robin, springs, jumps)
+    gap = _Gap(v.function_space, stiffness, y, excess, box.faced(excess), jumps)
     if by_nodes:
         gap.touch(v, box, fixed)
     best = v.x.array.copy()
@@ -167,40 +202,6 @@ def relax(
     gap.destroy()
 
 
-def _matrix(
-    space: fem.FunctionSpace, kappa: Weight, robin: Robin | None, springs: SpringsInCells | None, jumps: Jumps
-) -> PETSc.Mat:
-    """The matrix of the gap, in the jumps if there are any (collective)."""
-    trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
-    if jumps.basis is None:
-        return _assembled(_form(trial, test, kappa, robin, springs))
-    matrix = _assembled(_form(trial, test, kappa, None, springs)).ptap(jumps.basis[0])
-    if robin is not None:
-        of_robin, size = _assembled(robin[0].form(_rubbing(trial, test, robin))), space.dofmap.index_map.size_local
-        tips = jumps.tips[jumps.tips < size].astype(np.int32)
-        of_robin.zeroRowsColumns(tips + of_robin.getOwnershipRange()[0], diag=0.0)
-        matrix.axpy(1.0, of_robin)
-    return matrix
-
-
-def _form(
-    u: Expr, v: Expr, kappa: Weight, robin: Robin | None, springs: SpringsInCells | None, part: str = "full"
-) -> fem.Form:
-    """(κ_h∇u, ∇v) + ⟨βu, v⟩ on Γ_S and in Ω, or the diagonal of its matrix (collective)."""
-    form, maps = stiffness(u, v, kappa[1], kappa[0]), []
-    if springs is not None:
-        form += springs.beta * u * v * ufl.dx
-    if robin is not None:
-        form, maps = form + _rubbing(u, v, robin), [robin[0].entity_map]
-    return fenicsx.form(form, options={"part": part}, entity_maps=maps)
-
-
-def _rubbing(u: Expr, v: Expr, robin: Robin) -> ufl.Form:
-    """⟨βu, v⟩ on Γ_S."""
-    spaces, beta = robin
-    return beta * u * v * spaces.ds
-
-
 def _assembled(form: fem.Form) -> PETSc.Mat:
     matrix = assemble_matrix(form)
     matrix.assemble()
@@ -217,42 +218,38 @@ class _Gap:
     def __init__(
         self,
         space: fem.FunctionSpace,
-        spaces: Spaces,
+        stiffness: Stiffness,
         y: Expr,
-        kappa: Weight,
         excess: Array,
         faced: Array,
-        robin: Robin | None,
-        springs: SpringsInCells | None,
         jumps: Jumps,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
         self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
         self._excess, self._faced = excess[:size], faced[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
-        self._constant = (
-            self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, kappa[1], kappa[0])))) / 2
-        )
-        if springs is not None:
-            self._flux += springs.load[:size]
-            self._constant += springs.constant
-        self._given = fem.Function(space)
-        self._image = _form(self._given, test, kappa, robin, springs)
-        self._rubbing = None if robin is None else robin[0].form(_rubbing(self._given, test, robin))
-        self._space, self._spaces, self._jumps = space, spaces, jumps
+        kappa, dx = stiffness.kappa
+        self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, dx, kappa)))) / 2
+        if stiffness.springs is not None:
+            self._flux += stiffness.springs.load[:size]
+            self._constant += stiffness.springs.constant
+        self._given, self._rubbing = fem.Function(space), None
+        self._image = stiffness.form(self._given, test)
+        if stiffness.beta is not None:
+            self._rubbing = stiffness.spaces.form(stiffness.rubbing(self._given, test))
+        self._space, self._stiffness, self._jumps = space, stiffness, jumps
         self._solver: FacetSolver[TraceCoarse] | None = None
-        self._make = partial(_matrix, space, kappa, robin, springs, jumps)
         self._matrix: PETSc.Mat | None = None
         self._flux = jumps.transposed(self._flux)
         if jumps.basis is None:
-            self._diagonal = assembled(_form(trial, test, kappa, robin, springs, "diagonal"))[:size]
+            self._diagonal = assembled(stiffness.form(trial, test, "diagonal"))[:size]
         else:
             self._diagonal = self.assemble().getDiagonal().array
 
     def assemble(self) -> PETSc.Mat:
         """Go on with the matrix, and return it (collective)."""
         if self._matrix is None:
-            self._matrix = self._make()
+            self._matrix = self._stiffness.matrix(self._space, self._jumps)
         return self._matrix
 
     def at(self, v: fem.Function) -> tuple[float, Array, float]:
@@ -345,7 +342,7 @@ class _Gap:
     def _levels(self, pc: PETSc.PC) -> TraceCoarse:
         """The second level: functions that are linear on cells, with jumps where v has them (collective)."""
         linear = fenicsx.function_space(self._space.mesh, ("Lagrange", 1))
-        interpolation, of_linear = interpolation_matrix(linear, self._space), Jumps.of(linear, self._spaces)
+        interpolation, of_linear = interpolation_matrix(linear, self._space), Jumps.of(linear, self._stiffness.spaces)
         interpolation.assemble()
         if self._jumps.basis is not None and of_linear.basis is not None:
             interpolation = self._jumps.basis[1].matMult(interpolation.matMult(of_linear.basis[0]))

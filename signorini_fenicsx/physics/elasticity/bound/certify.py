@@ -109,8 +109,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         hindrance=past,
         unbalanced=UNBALANCED,
         by_quadrature=not_in_the_spaces(resolution, also=(*lifts(spaces, data), *rubbing)),
-        account=lambda bound: resolution.unresolved(),
-        coarse=lambda: resolution.coarse,
+        account=lambda bound: (resolution.unresolved(), resolution.coarse),
     )
     of_last_bound = data.friction.by_pressure
     of = with_surface(solution, TRESCA if of_last_bound else "")
