@@ -18,13 +18,15 @@ import numpy as np
 from mpi4py import MPI
 from ufl import Form
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.backend import Backend, Pairs, PlainBackend
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.loop import settled_change
-from signorini_fenicsx.discrete.seen import Seen, values_seen
+from signorini_fenicsx.discrete.datum import DEGREES, Datum
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_values
+from signorini_fenicsx.discrete.seen import Seen, moments_seen, values_seen
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_degree, law_points, lines_by_data
 
 type Solved = tuple[Array, Array, Any]
@@ -184,6 +186,46 @@ class Linearised(ABC):
             if effect.kind == "line":
                 effect.add(values, changes[name])
         return np.take_along_axis(self._law.slope, segment[:, None], axis=1)[:, 0], values
+
+
+def to_values(facets: BoundaryFacets) -> Array:
+    """The matrices from moments to the values of linear functions at the vertices, shape (facets, d, d)."""
+    return linear_values(_units(facets), facets.measure)
+
+
+def _units(facets: BoundaryFacets) -> Array:
+    """A unit matrix for each facet, shape (facets, d, d)."""
+    dim = facets.vertices.shape[1]
+    return np.broadcast_to(np.eye(dim), (len(facets.facets), dim, dim))
+
+
+def by_moments(
+    spaces: LinearTraces,
+    name: str,
+    kind: str,
+    datum: Datum,
+    facets: BoundaryFacets,
+    places: AnyIndices,
+    matrices: Array | None = None,
+    degree: int = DEGREES[0] + 1,
+) -> Iterator[tuple[str, Effect]]:
+    """What the moments of a datum over facets make, part by part, if it is given in UFL (collective).
+
+    Args:
+        spaces: The spaces.
+        name: Name of the datum.
+        kind: Of the effect.
+        datum: The datum.
+        facets: The facets.
+        places: As in `Effect`, those of each facet.
+        matrices: Likewise; None where the moments themselves are added.
+        degree: Of the quadrature by which the discrete problem has them.
+    """
+    matrices = _units(facets) if matrices is None else matrices
+    for number, (chosen, part) in enumerate(datum.by_facets(facets.facets)):
+        if part.pieces is None:
+            seen = moments_seen(spaces, part, facets.take(np.flatnonzero(chosen)), min(degree, DEGREES[1]))
+            yield f"{name}.{number}", Effect(kind, seen, places[chosen].astype(np.int64), matrices[chosen])
 
 
 class HybridLinearised(Linearised):

@@ -29,11 +29,10 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
-from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved
+from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved, by_moments, to_values
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
-from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
-from signorini_fenicsx.discrete.points import facet_quadrature
-from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points, values_seen
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means
+from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.physics.diffusion.derivative.linearised import check_differentiable
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
@@ -82,14 +81,8 @@ class LinearisedFluxes(HybridLinearised):
             ("u_D", data.u_D, spaces.dirichlet, "lift"),
             ("g_N", data.g_N, spaces.neumann, "load"),
         ):
-            if datum.pieces is None:
-                degree = min(quadrature_degree(datum) + 1, DEGREES[1])
-                points = facet_quadrature(spaces.mesh, facets.facets, degree)
-                matrices = facets.moments(_units(len(facets.facets), len(points.points)), points.points, points.weights)
-                if kind == "lift":
-                    matrices = linear_values(matrices, facets.measure)
-                seen = values_seen(spaces, datum, facets, points, degree)
-                yield name, Effect(kind, seen, spaces.unknowns(facets).astype(np.int64), matrices)
+            matrices, degree = to_values(facets) if kind == "lift" else None, quadrature_degree(datum) + 1
+            yield from by_moments(spaces, name, kind, datum, facets, spaces.unknowns(facets), matrices, degree)
 
     def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
         """See `Linearised.lines` (collective)."""
@@ -210,11 +203,6 @@ class LinearisedFluxes(HybridLinearised):
             weights = spaces.cell_measures[numbers, None] * points.weights / points.weights.sum()
             hats = hats_in(spaces, numbers, points).transpose(1, 0, 2)
             yield numbers, weights, hats, datum.values(points)
-
-
-def _units(rows: int, points: int) -> Array:
-    """Unit changes in the points of each of some facets, shape (rows, points, points)."""
-    return np.broadcast_to(np.eye(points), (rows, points, points))
 
 
 def _quadratics(hats: Array) -> Array:

@@ -5,15 +5,13 @@ from itertools import product
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.derivatives.linearised import Effect
-from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
-from signorini_fenicsx.discrete.seen import moments_seen
+from signorini_fenicsx.derivatives.linearised import Effect, by_moments, to_values
+from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
-from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
@@ -22,16 +20,16 @@ from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 def on_boundary(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, Effect]]:
     """What moments of u_D, gaps and tractions make: values of û ("lift"), its right side ("load") (collective)."""
     for number, (facets, k, axes, of) in enumerate(spaces.fixed):
-        places = spaces.unknowns(facets, k).astype(np.int64)
+        places = spaces.unknowns(facets, k)
         for r in of:
-            matrices = axes[:, r, None, None] * _to_values(facets)
+            matrices = axes[:, r, None, None] * to_values(facets)
             component = data.u_D.components[r]
-            yield from _of_datum(spaces, f"u_D.{number}.{r}", "lift", component, facets, places, matrices)
+            yield from by_moments(spaces, f"u_D.{number}.{r}", "lift", component, facets, places, matrices)
     contact = spaces.contact
     normal = spaces.site_kinds["normal"]
-    places = normal.rows_of(normal.unknown).astype(np.int64)
+    places = normal.rows_of(normal.unknown)
     matrices = np.eye(spaces.dim) / normal.rows_of(normal.measure)[:, :, None]
-    yield from _of_datum(spaces, "gap", "lift", data.gap, contact, places, matrices)
+    yield from by_moments(spaces, "gap", "lift", data.gap, contact, places, matrices)
     yield from _tractions(spaces, data)
 
 
@@ -56,7 +54,7 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
             loads = [(component, by_component[rows, :, r].transpose(0, 2, 1)) for r, component in components]
         for r, (component, matrices) in enumerate(loads):
             key = f"g_N.{name}.{r}"
-            yield from _of_datum(spaces, key, "load", component, facets.take(rows), places[rows], matrices)
+            yield from by_moments(spaces, key, "load", component, facets.take(rows), places[rows], matrices)
 
 
 def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Array) -> Iterator[tuple[str, Effect]]:
@@ -81,11 +79,11 @@ def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Arra
             datum = datum_of(spaces, key, parsed(given, "xyz"[:dim], key))
             _check_linear(key, datum)
             rows = order[np.searchsorted(rough, facets.facets, sorter=order)]
-            kind, places, matrices = name, dim * rows[:, None] + np.arange(dim), _to_values(facets)
+            kind, places, matrices = name, dim * rows[:, None] + np.arange(dim), to_values(facets)
             if not isinstance(law, CoulombLaw):
                 kind, places = "line", sites[rows]
                 matrices = shear[rows].reshape(len(rows), dim * (dim - 1), dim) @ matrices
-            yield from _of_datum(spaces, f"{key}.{part}", kind, datum, facets, places, matrices)
+            yield from by_moments(spaces, f"{key}.{part}", kind, datum, facets, places, matrices)
 
 
 def _check_linear(key: str, datum: Datum) -> None:
@@ -96,26 +94,3 @@ def _check_linear(key: str, datum: Datum) -> None:
     """
     if datum.pieces is None and datum.degree > 1:
         raise InputError(f"{key}: there are derivatives only if it is linear in x and y")
-
-
-def _to_values(facets: BoundaryFacets) -> Array:
-    """The matrices from moments to the values of linear functions at the vertices, shape (facets, d, d)."""
-    dim = facets.vertices.shape[1]
-    units = np.broadcast_to(np.eye(dim), (len(facets.facets), dim, dim))
-    return linear_values(units, facets.measure)
-
-
-def _of_datum(
-    spaces: ElasticSpaces,
-    name: str,
-    kind: str,
-    datum: Datum,
-    facets: BoundaryFacets,
-    places: Indices,
-    matrices: Array,
-) -> Iterator[tuple[str, Effect]]:
-    """What the moments of a datum over facets make, part by part, if it is given in UFL (collective)."""
-    for number, (chosen, part) in enumerate(datum.by_facets(facets.facets)):
-        if part.pieces is None:
-            seen = moments_seen(spaces, part, facets.take(np.flatnonzero(chosen)), min(DEGREE + 1, DEGREES[1]))
-            yield f"{name}.{number}", Effect(kind, seen, places[chosen], matrices[chosen])
