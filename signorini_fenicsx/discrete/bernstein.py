@@ -23,6 +23,12 @@ def degree_of(space: fem.FunctionSpace) -> int:
     return int(space.element.basix_element.degree)
 
 
+@cache
+def degree_with(cell: basix.CellType, number: int) -> int:
+    """The degree of polynomials with so many nodes on a simplex."""
+    return next(degree for degree in range(1, number) if len(nodes(cell, degree)) == number)
+
+
 def nodes_of(space: fem.FunctionSpace) -> Array:
     """The nodes of a space of polynomials on the reference cell."""
     return nodes(space.mesh.basix_cell(), degree_of(space))
@@ -80,8 +86,7 @@ def to_values(cell: basix.CellType, degree: int) -> Array:
 @cache
 def _from_values(cell: basix.CellType, number: int) -> Array:
     """The matrix from values in so many nodes to coefficients."""
-    degree = next(degree for degree in range(1, number) if len(nodes(cell, degree)) == number)
-    matrix = np.linalg.inv(to_values(cell, degree))
+    matrix = np.linalg.inv(to_values(cell, degree_with(cell, number)))
     matrix[np.abs(matrix) < 1e-9] = 0.0
     return matrix
 
@@ -115,9 +120,8 @@ def jet(coefficients: Array, barycentric: Array, slopes: Array | None = None) ->
         barycentric: Of the points, shape (n or 1, points, vertices).
         slopes: Shape (n, vertices, dim).
     """
-    cell, degree, form = SIMPLEX[barycentric.shape[2] - 1], 1, coefficients[:, None]
-    while len(nodes(cell, degree)) < coefficients.shape[1]:
-        degree += 1
+    cell, form = SIMPLEX[barycentric.shape[2] - 1], coefficients[:, None]
+    degree = degree_with(cell, coefficients.shape[1])
     for lower in range(degree - 1, 0, -1):
         form = np.einsum("npv,npav->npa", barycentric, form[:, :, _raised(cell, lower)])
     form = np.broadcast_to(form, (len(form), barycentric.shape[1], form.shape[2]))

@@ -71,7 +71,7 @@ class MeshSpaces:
         ds_dirichlet: Measure of Γ_D on the mesh.
         ds_neumann: Measure of Γ_N on the mesh.
         kept_forms: The forms of `kept`.
-        kept_results: What is proved of data on this mesh.
+        kept_results: What is proved of data and of constants on this mesh.
         notices: What is worth knowing of the mesh with these parts, in sentences.
     """
 

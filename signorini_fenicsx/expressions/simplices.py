@@ -130,6 +130,12 @@ def barycentric_gradients(vertices: Array) -> Array:
     return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
 
 
+def barycentric(vertices: Array, x: Array) -> Array:
+    """The barycentric coordinates of points along each simplex, shape (n, points, k + 1)."""
+    arms = x - vertices.mean(axis=1, keepdims=True)
+    return np.asarray(1 / vertices.shape[1] + arms @ barycentric_gradients(vertices).transpose(0, 2, 1))
+
+
 ROUNDING = 1e-13
 """Bound of the rounding in sums of up to 100 products, relative to the sum of absolute values: 450 times 2⁻⁵²."""
 TINY = 1e-300

@@ -22,7 +22,7 @@ from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
-from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside
+from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
 from signorini_fenicsx.physics.diffusion.bound.relaxation import SpringsInCells
@@ -63,9 +63,7 @@ class LawPieces:
 
     def rest(self, at: CellPoints, slope: Array, value: Array) -> Array:
         """The t of segments in points of cells; value itself of vertical ones."""
-        force = value + self.inside.s_at(at)
-        sloped = (slope > 0) & np.isfinite(slope)
-        return np.where(np.isinf(slope), value, np.divide(force, slope, out=np.zeros_like(force), where=sloped))
+        return trace_on(slope, value, -self.inside.s_at(at))
 
     def hold(self, v: fem.Function, kept: npt.NDArray[np.integer]) -> Mask:
         """Set v by its values to t in the nodes of held cells, but not where it is kept; their mask (collective)."""

@@ -26,14 +26,14 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, in_nodes, to_values
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, degree_with, exponents, in_nodes, to_values
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints, in_cells
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
 from signorini_fenicsx.expressions.series import DEGREE
-from signorini_fenicsx.expressions.simplices import Quadratic, barycentric_gradients, constant, quadratic
+from signorini_fenicsx.expressions.simplices import barycentric_gradients, constant, quadratic
 from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
@@ -89,21 +89,25 @@ def hidden_parts(
         of_discrete: The bound without what is hidden.
     """
     slope, gap, value = np.zeros((3, len(metric.volume)))
+    of_v, altered = trace.v.x.array[cell_dofs(trace.v.function_space)], np.isin(np.arange(len(gap)), trace.altered)
     missed = _Missed(resolution, metric, (degree_of(trace.v.function_space), degree_near(trace)), of_discrete)
     if (tree := resolution.tree("u_D", u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
         steep, value[cells] = missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))
         slope[cells] += steep
     if pressure is not None and (tree := resolution.tree(pressure.name, pressure.datum)) is not None:
-        cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree, pressure.points)).astype(np.int64)
+        on_facets = trace.v.x.array[facet_nodes(trace.v.function_space, pressure.points.facets)]
+        beyond = _beyond(resolution, tree, pressure.points.vertices, on_facets, 1.0)
+        cells = np.union1d(trace.touching, pressure.points.cells[beyond]).astype(np.int64)
         steep, size = missed.of(pressure.name, tree, cells)
         slope[cells] += steep
         value[cells] += size
         gap += pressure.missed(resolution, tree, len(gap))
     for ray in inside.rays:
         if (tree := resolution.tree(ray.name, ray.datum)) is not None:
-            beside = np.flatnonzero(ray.pressed & ~ray.touched)  # of RT1, where λ varies, so that means are not enough
-            cells = np.union1d(_cells_of_ray(resolution, trace, tree, ray), beside)
+            beyond = _beyond(resolution, tree, resolution.vertices, of_v, ray.sign, altered)
+            beyond |= ray.pressed & ~ray.touched  # of RT1, where λ varies, so that means are not enough
+            cells = np.flatnonzero(beyond)
             steep, size = missed.of(ray.name, tree, cells)
             slope[cells] += steep
             value[cells] += size
@@ -118,35 +122,32 @@ def degree_near(trace: Trace) -> int:
     return max(trace.degree, 2 * (DEGREE + 1))
 
 
-def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree, points: FacetPoints) -> Indices:
-    """Owned cells at some facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
-    vertices = points.vertices
-    p = quadratic(vertices, in_nodes(tree, vertices))
-    v = trace.v.x.array[facet_nodes(trace.v.function_space, points.facets)]
-    above = np.maximum((v - _coefficients(p, vertices, trace)).min(axis=1, initial=np.inf), 0.0)
-    beyond = _beyond(resolution, tree, vertices, p, above)
-    beyond[beyond] = _raised(resolution, tree, vertices[beyond], v[beyond], 1.0)
-    return np.asarray(points.cells[beyond], dtype=np.int64)
+def _beyond(
+    resolution: Resolution, tree: Tree, vertices: Array, of_v: Array, sign: float, altered: Mask | None = None
+) -> Mask:
+    """Mask of the simplices where v may be beyond a bound, or is altered (collective).
 
-
-def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) -> Indices:
-    """Owned cells where v may be beyond a bound in Ω, or is not quadratic (collective)."""
-    vertices = resolution.vertices
-    p = quadratic(vertices, in_nodes(tree, vertices))
-    v = ray.sign * trace.v.x.array[cell_dofs(trace.v.function_space)]
-    above = np.maximum((v - ray.sign * _coefficients(p, vertices, trace)).min(axis=1), 0.0)
-    above[trace.altered] = 0.0
-    beyond = _beyond(resolution, tree, vertices, p, above)
-    rows = np.setdiff1d(np.flatnonzero(beyond), trace.altered)
-    beyond[rows] = _raised(resolution, tree, vertices[rows], v[rows], ray.sign)
-    return np.flatnonzero(beyond)
-
-
-def _coefficients(p: Quadratic, vertices: Array, trace: Trace) -> Array:
-    """The Bernstein coefficients of quadratics on simplices, as the v of a trace has them."""
-    cell, degree = SIMPLEX[vertices.shape[1] - 1], degree_of(trace.v.function_space)
+    Args:
+        resolution: Has the domain.
+        tree: The bound.
+        vertices: Of the simplices.
+        of_v: The coefficients of v on them, shape (n, nodes).
+        sign: 1 for a lower bound, −1 for an upper one.
+        altered: Mask of those on which v is altered; None for none.
+    """
+    cell, frame = SIMPLEX[vertices.shape[1] - 1], resolution.spaces.frame
+    p, degree = quadratic(vertices, in_nodes(tree, vertices)), degree_with(cell, of_v.shape[1])
     arms = exponents(cell, degree) / degree @ (vertices - vertices.mean(axis=1, keepdims=True))
-    return coefficients_of(p.at(arms)[:, :, 0], cell)
+    of_p, least = coefficients_of(p.at(arms)[:, :, 0], cell), (sign * of_v).min(axis=1, initial=np.inf)
+    altered = np.zeros(len(vertices), dtype=bool) if altered is None else altered
+    above = np.where(altered, 0.0, np.maximum((sign * (of_v - of_p)).min(axis=1, initial=np.inf), 0.0))
+    small = above <= ROUNDING * np.abs(p.value).max(initial=0.0)
+    end = np.where(small, np.inf, above)
+    beyond = np.asarray(small | (ranges(tree, vertices, p, frame, -end, end).sup > above))
+    rows = np.flatnonzero(beyond & ~altered)  # unless the least coefficient of v is proved to be within the bound
+    below = Negative(tree) if sign > 0 else tree
+    beyond[rows] = ranges(below, vertices[rows], None, frame, -least[rows], np.inf).lo < -least[rows]
+    return beyond
 
 
 def _missed_of_means(
@@ -170,20 +171,6 @@ def _missed_of_means(
     missed[unknown] = 0.0
     resolution.record_missed(ray.name, cells, factor * missed)
     return factor * missed
-
-
-def _raised(resolution: Resolution, tree: Tree, vertices: Array, v: Array, sign: float) -> Mask:
-    """Mask of the simplices where ψ may be above the least of these coefficients of v; for −ψ and −v (collective)."""
-    least = v.min(axis=1, initial=np.inf)
-    below = Negative(tree) if sign > 0 else tree
-    return np.asarray(ranges(below, vertices, None, resolution.spaces.frame, -least, np.inf).lo < -least)
-
-
-def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, limit: Array) -> Mask:
-    """Mask of the simplices where |d| may be larger than a limit ≥ 0; true where that is rounding (collective)."""
-    small = limit <= ROUNDING * np.abs(p.value).max(initial=0.0)
-    end = np.where(small, np.inf, limit)
-    return np.asarray(small | (ranges(tree, vertices, p, resolution.spaces.frame, -end, end).sup > limit))
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.laws import trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_LAW,
@@ -382,9 +383,7 @@ def _level_at(law: Chains, s: Array) -> Array:
     segment = np.minimum((law.flux > flux[:, None]).sum(axis=1), law.count)
     slope, value = law.slope[rows, segment], law.value[rows, segment]
     corner = law.p[rows, np.clip(segment, 0, law.count - 1)]
-    sloped = (slope > 0) & np.isfinite(slope)
-    on_slope = np.divide(value - flux, slope, out=np.zeros_like(value), where=sloped)
-    return np.where(sloped, on_slope, np.where(np.isinf(slope), value, corner))
+    return np.where(slope == 0, corner, trace_on(slope, value, flux))
 
 
 def _resolvent(law: Chains, z: Array, omega: Array) -> Array:

@@ -167,6 +167,12 @@ class Goal:
         return rough[0] if alone and slaves.isdisjoint(rough[0].law.parts) else None
 
 
+def trace_on(slope: Array, value: Array, flux: Array) -> Array:
+    """The u of lines at which they have this σ·n: on vertical ones what they hold, 0 on flat ones."""
+    sloped = (slope > 0) & np.isfinite(slope)
+    return np.where(np.isinf(slope), value, np.divide(value - flux, slope, out=np.zeros(slope.shape), where=sloped))
+
+
 def pieces_beside(law: Chains, segment: Indices, flux: Array, rigid: Mask) -> Indices:
     """The segment near which v is at each site: its own, or that beside a rigid one which σ·n is nearer to."""
     rows = np.arange(len(segment))

@@ -12,7 +12,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.bernstein import basis
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.points import Points, facet_type, in_facets
-from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -135,11 +135,9 @@ class OnGammaS:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
         rows = np.arange(len(self.segment))
         slope, value = nodes.on(self.segment)
-        vertical = np.isinf(slope)
-        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=~vertical & (slope > 0))
         fully = self.rigid[rows, self.segment] & (not self.by_nodes or self.rigid[rows, self.piece])
         nearly = self.steep[rows, self.segment] & ~fully & (slope > 0).all(axis=1)
-        return np.where(vertical, value, on_line), fully, nearly
+        return trace_on(slope, value, self.flux[:, None]), fully, nearly
 
     def ends(self, nodes: LawPoints) -> list[Array]:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
@@ -170,8 +168,8 @@ class OnGammaS:
         points, slope = at.points, self.slope(at)
         value, sloped = at.on(self.piece)[1], slope > 0
         flux = self.flux_at(points)
-        on_line = np.divide(value - flux, slope, out=np.zeros_like(value), where=sloped)
-        turned = (slope - slope.mean(axis=1, keepdims=True)) * np.clip(on_line, *at.traces(self.piece))
+        on_line = np.clip(trace_on(slope, value, flux), *at.traces(self.piece))
+        turned = (slope - slope.mean(axis=1, keepdims=True)) * on_line
         level = np.where(sloped, value - turned, value if self.by_nodes else self.level[:, None])
         only = self.rigid[np.arange(len(self.piece)), self.piece]
         density = np.where(only[:, None], 0.0, flux - level)

@@ -28,7 +28,7 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.expressions.simplices import Polynomial, Quadratic, barycentric_gradients, quadratic
+from signorini_fenicsx.expressions.simplices import Polynomial, barycentric_gradients, quadratic
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_FLUX,
@@ -252,16 +252,12 @@ def _load(
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h(points), degree, of_load)
     load = load.without(takes_f)
     if enclosed:
-        cells, nodes = owned_cells(spaces.mesh)[~takes_f], quadratic_nodes(cell)
-        of_nodes = np.concatenate([f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), nodes)])
-        p: Quadratic | Polynomial = quadratic(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
-        if of_load > OF_LAW:
-            basis = orthonormal(cell, of_load)
-            places, weights = basix.make_quadrature(cell, 2 * of_load)
-            f_there = [f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), places)]
-            of_f_h = np.concatenate(f_there) @ (weights[:, None] * basis.tabulate(0, places)[0][:, :, 0])
-            of_f_h[:, 1:] += load.coefficients
-            p = Polynomial(of_f_h, barycentric_gradients(resolution.vertices), of_load)
+        cells, (places, weights) = owned_cells(spaces.mesh)[~takes_f], basix.make_quadrature(cell, 2 * of_load)
+        f_there = [f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), places)]
+        basis = orthonormal(cell, of_load).tabulate(0, places)[0][:, :, 0]
+        coefficients = np.concatenate(f_there) @ (weights[:, None] * basis)
+        coefficients[:, 1:] += load.coefficients
+        p = Polynomial(coefficients, barycentric_gradients(resolution.vertices), of_load)
         volume = 1 / math.factorial(metric.jacobian.shape[1])
         seen = Rest(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
         load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume

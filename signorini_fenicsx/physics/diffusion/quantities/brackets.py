@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.points import CellPoints, FacetPoints, facet_qua
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
-from signorini_fenicsx.expressions.simplices import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.certify import (
     LAST_KAPPA,
@@ -223,24 +223,15 @@ class Fluxes(_Beside):
         facets = np.unique(np.concatenate([self.domain.facets[part] for part in self.kind.parts]))
         mesh, total = self.spaces.mesh, np.zeros(2)
         on = in_facets(mesh, facets, nodes(facet_type(mesh.topology.dim), 1))
-        flux, middle = normal_flux(of_y.flux, on), on.vertices.mean(axis=1, keepdims=True)
-        slopes = barycentric_gradients(on.vertices).transpose(0, 2, 1)
-        measures = on.scale / math.factorial(mesh.topology.dim - 1)
+        flux, measures = normal_flux(of_y.flux, on), on.scale / math.factorial(mesh.topology.dim - 1)
 
         def w(rows: AnyIndices, x: Array) -> Array:
-            return jet(flux[rows], 1 / on.vertices.shape[1] + (x - middle[rows]) @ slopes[rows])[:, :, 0]
+            return jet(flux[rows], barycentric(on.vertices[rows], x))[:, :, 0]
 
+        frame, degree = self.spaces.frame, self.spaces.degree
         for tree, _ in self.weight.pieces or ():
             assert isinstance(tree, TREES)
-            total += products(
-                tree,
-                on.vertices,
-                measures,
-                w,
-                self.spaces.degree,
-                self.spaces.frame,
-                enough,
-            ).total
+            total += products(tree, on.vertices, measures, w, degree, frame, enough).total
         return total
 
     def discrete(self) -> float:

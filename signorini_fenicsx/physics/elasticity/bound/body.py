@@ -29,9 +29,7 @@ Where 𝔸 varies in a cell, or leaves the volume as it is, it is replaced by on
 with which ‖τ_h‖ is larger.
 """
 
-import hashlib
 import math
-from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -81,16 +79,9 @@ def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask, len
         loaded: Mask of the facets with r, opposite to the vertices of each cell, shape (cells, d + 1).
         length: l.
     """
-    return _kept(spaces, _by_factorisations, regular(compliance), loaded, length)
-
-
-def _kept(spaces: ElasticSpaces, find: Callable[..., float], *given: Array | Mask | float) -> float:
-    """A constant for these spaces and what is given, found when it is first asked for (collective)."""
-    digested = b"".join([find.__name__.encode(), *(np.asarray(each).tobytes() for each in given)])
-    comm, key = spaces.mesh.comm, hashlib.sha256(digested).digest()
-    if not comm.allreduce(key in spaces.constants_of_body, MPI.LAND):
-        spaces.constants_of_body[key] = find(spaces, *given)
-    return spaces.constants_of_body[key]
+    given = regular(compliance), loaded, np.array(length)
+    kept, comm = spaces.kept_results, spaces.mesh.comm
+    return kept.get(comm, "constant of body", None, given, lambda: _by_factorisations(spaces, *given[:2], length))
 
 
 def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask, length: float) -> float:
@@ -115,7 +106,8 @@ def constant_of_facets(spaces: ElasticSpaces, compliance: Array, weights: Array)
         compliance: As in `constant_of_body`.
         weights: ρ of the facets, opposite to the vertices of each cell, 0 where r = 0, shape (cells, d + 1).
     """
-    return _kept(spaces, _of_facets, regular(compliance), weights)
+    given, kept = (regular(compliance), weights), spaces.kept_results
+    return kept.get(spaces.mesh.comm, "constant of facets", None, given, lambda: _of_facets(spaces, *given))
 
 
 def _of_facets(spaces: ElasticSpaces, compliance: Array, weights: Array) -> float:

@@ -43,7 +43,7 @@ from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
-from signorini_fenicsx.expressions.simplices import Parts, Quadratic, barycentric_gradients
+from signorini_fenicsx.expressions.simplices import Parts, Quadratic, barycentric, barycentric_gradients
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, constant_of_facets, length_of_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
@@ -418,9 +418,7 @@ def off_linear(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, boun
     vector = VectorDatum("g", (datum,))
     points, weights = facet_rule(spaces.dim, DEGREE)  # exact for the square of what has degree 4, see `trees`
     at = in_facets(spaces.mesh, facets.facets, points)
-    slopes, centre = barycentric_gradients(facets.vertices), facets.vertices.mean(axis=1, keepdims=True)
-    hats = 1 / spaces.dim + np.einsum("nqi,nai->nqa", at.x - centre, slopes)
-    rest = datum.values(at) - np.einsum("nqa,na->nq", hats, bound)
+    rest = datum.values(at) - np.einsum("nqa,na->nq", barycentric(facets.vertices, at.x), bound)
     seen = rest**2 @ (weights / weights.sum())
     sizes = np.array([seen.sum(), len(seen)])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes)

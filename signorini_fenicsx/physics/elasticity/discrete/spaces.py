@@ -153,11 +153,6 @@ class ElasticSpaces(LinearTraces):
         """How far the vertices of parts are from surfaces in files, each of which is read once."""
         return {}
 
-    @cached_property
-    def constants_of_body(self) -> dict[bytes, float]:
-        """Constants of Korn of the body by a digest of what they depend on, see `bound/body.py`; each is found once."""
-        return {}
-
     def as_dolfinx(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Indices, Indices]:
         """Indices of subcell vertices in this order for DOLFINx's order of the cell's vertices.
 

@@ -15,7 +15,7 @@ from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.products import products
-from signorini_fenicsx.expressions.simplices import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.certify import (
     LACKING,
@@ -69,8 +69,7 @@ class Along:
 
     def at(self, rows: Indices, x: Array) -> Array:
         """The components in points of the subcells with these positions, shape (n, points, d)."""
-        slopes, middle = barycentric_gradients(self.vertices[rows]), self.vertices[rows].mean(axis=1, keepdims=True)
-        return jet(self.coefficients[rows], 1 / slopes.shape[1] + (x - middle) @ slopes.swapaxes(1, 2))[:, :, 0]
+        return jet(self.coefficients[rows], barycentric(self.vertices[rows], x))[:, :, 0]
 
 
 def energy(solution: ElasticSolution) -> Quantity:
