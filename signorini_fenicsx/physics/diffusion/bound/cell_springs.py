@@ -16,13 +16,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, function_of, sums_at
-from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, degree_of, nodes_of
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
-from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside, trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import LawPoints, held_beyond, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
 from signorini_fenicsx.physics.diffusion.bound.relaxation import SpringsInCells
@@ -70,7 +69,7 @@ class LawPieces:
         before, nodes = v.x.array[kept], cell_dofs(v.function_space)
         values = np.zeros(nodes.shape)
         for at, law in self._nodes(v.function_space):
-            values[at.cells] = self.rest(at, *self.inside.on_segment(law, at, self.inside.segment)[:2])
+            values[at.cells] = self.rest(at, *law.on(self.inside.segment[at.cells]))
         set_means(v, nodes[self.held], values[self.held])
         v.x.array[kept] = before
         return sums_at(v.function_space.dofmap.index_map, nodes[self.held]) > 0
@@ -83,14 +82,14 @@ class LawPieces:
         for parts, cells in inside.groups():
             some = cells[(self.held | self.springy)[cells]].astype(np.int32)
             for at in cell_quadrature(space.mesh, some, degree):
-                law, numbers = inside.law_at(parts, at), at.cells
-                slope, value, begin, end = inside.on_segment(law, at, self.piece)
+                law, numbers, piece = inside.law_at(parts, at), at.cells, self.piece[at.cells]
+                slope, value = law.on(piece)
                 finite = np.isfinite(slope)
                 line = np.where(finite, slope, 0.0)
                 stiffness[numbers] = at.means(line)
-                turned = (line - stiffness[numbers, None]) * np.clip(self.rest(at, line, value), begin, end)
+                turned = (line - stiffness[numbers, None]) * np.clip(self.rest(at, line, value), *law.traces(piece))
                 density = np.where(finite, value + inside.s_at(at) - turned, 0.0)
-                t = self.rest(at, *inside.on_segment(law, at, inside.segment)[:2])
+                t = self.rest(at, *law.on(inside.segment[numbers]))
                 hats = basis(space.mesh.basix_cell(), degree_of(space), at.points)
                 loads[numbers] = at.scale[:, None] * ((density * at.weights) @ hats)
                 constant += float(at.integrals(density * t - stiffness[numbers, None] * t**2 / 2).sum())
@@ -106,13 +105,13 @@ class LawPieces:
         only = self.held & self.rigid[rows, self.piece]
         last, (before, beyond) = self.rigid.shape[1] - 1, held_beyond(self.piece, self.rigid)
         sides = (
-            (low, before >= 0, self.piece > segment, np.maximum(before, 0), 3),
-            (high, beyond <= last, self.piece < segment, np.minimum(beyond, last), 2),
+            (low, before >= 0, self.piece > segment, np.maximum(before, 0), 1),
+            (high, beyond <= last, self.piece < segment, np.minimum(beyond, last), 0),
         )
         for at, law in self._nodes(space):
-            cells, t = at.cells, self.rest(at, *self.inside.on_segment(law, at, segment)[:2])
+            cells, t = at.cells, self.rest(at, *law.on(segment[at.cells]))
             for limit, near, past, nearest, end in sides:
-                some, corner = (near | only)[cells], self.inside.on_segment(law, at, nearest)[end]
+                some, corner = (near | only)[cells], law.traces(nearest[cells])[end]
                 values = np.where((self.held & (past | only))[cells, None], t, corner)[some]
                 limit[cells[some]] = coefficients_of(values, space.mesh.basix_cell())
         floor, ceiling = (
@@ -121,7 +120,7 @@ class LawPieces:
         floor[jumps.jump], ceiling[jumps.jump] = -np.inf, np.inf
         return floor, ceiling
 
-    def _nodes(self, space: fem.FunctionSpace) -> Iterator[tuple[CellPoints, Chains]]:
+    def _nodes(self, space: fem.FunctionSpace) -> Iterator[tuple[CellPoints, LawPoints[CellPoints]]]:
         """The nodes of a space in all cells with laws that may pull, and the law in each (collective)."""
         for parts, cells in self.inside.groups():
             for at in in_cells(space.mesh, cells.astype(np.int32), nodes_of(space)):

@@ -51,7 +51,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.laws import trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import LawPoints, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_LAW,
@@ -252,13 +252,13 @@ class Inside:
                     ids = at.cells.astype(np.int64)
                     law = self.law_at(parts, at)
                     v = trace.jet(at, near=close)[:, :, 0]
-                    eta = self._eta(law, v, self.s[ids, None] + self._varying(at), metric, at)
+                    eta = self._eta(law, v, self.s[ids, None] + self._varying(at), metric)
                     missed[ids] = self.s[ids] - at.means(eta)
                     part = projected(self.s[ids, None] - missed[ids, None] - eta, cell, HIGH[dim], points, weights)
                     load.coefficients[ids], load.rest[ids] = part.coefficients, part.rest
                     held = self.held[ids]
                     eta[held] = -(self.sides[ids] * self.largest[ids])[held, None]
-                    density = area(law, v.ravel(), -eta.ravel()).reshape(at.shape)
+                    density = area(law.law, v.ravel(), -eta.ravel()).reshape(at.shape)
                     squares[ids] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
         return squares, load
@@ -290,16 +290,9 @@ class Inside:
         met = any(bool(cells[part.rows].any()) for part in self.parts)
         return bool(self.spaces.mesh.comm.allreduce(met, MPI.LOR))
 
-    def law_at(self, parts: list[int], at: CellPoints) -> Chains:
-        """The sum of some laws in points of cells, cell after cell."""
-        return reduce(Chains.plus, (self.parts[number].chains(at) for number in parts))
-
-    def on_segment(self, law: Chains, at: CellPoints, segment: Indices) -> list[Array]:
-        """β and value of a segment of each owned cell in points of some, and its least and largest u there."""
-        sites, column = np.arange(len(law.p)), np.minimum(np.repeat(segment[at.cells], at.shape[1]), law.corners)
-        ends = law.ends[0]
-        of_sites = (law.slope[sites, column], law.value[sites, column], ends[sites, column], ends[sites, column + 1])
-        return [values.reshape(at.shape) for values in of_sites]
+    def law_at(self, parts: list[int], at: CellPoints) -> LawPoints:
+        """The sum of some laws in points of cells."""
+        return LawPoints(at, reduce(Chains.plus, (self.parts[number].chains(at) for number in parts)))
 
     def _varying(self, at: CellPoints) -> Array:
         """The quadratic part of f − f_h in points of some cells, f_h with the slope of −∇·y; 0 where f̃ = f."""
@@ -312,12 +305,13 @@ class Inside:
             values += linear_in(at, self.tilt)
         return np.where(self.takes_f[at.cells, None], 0.0, values)
 
-    def _eta(self, law: Chains, v: Array, target: Array, metric: CellMetric, at: CellPoints) -> Array:
+    def _eta(self, law: LawPoints, v: Array, target: Array, metric: CellMetric) -> Array:
         """The η of the module in points of some cells, shape (cells, points), for values of t there."""
+        at, segment = law.points, self.segment[law.points.cells]
         s, omega = self.s[at.cells], (metric.diameter[at.cells] / math.pi) ** 2
-        low, high = (-end.reshape(v.shape) for end in law.extent()[:1:-1])
+        low, high = (-end for end in law.extent()[:1:-1])
         pressed = self.held[at.cells]
-        eta, follows = _on_segment(self.on_segment(law, at, self.segment), v, s, target, omega, at.weights)
+        eta, follows = _on_segment([*law.on(segment), *law.traces(segment)], v, s, target, omega, at.weights)
         eta[pressed] = np.where(self.takes_f[at.cells, None], s[:, None], self.s_at(at))[pressed]
         largest = self.largest[at.cells, None]
         most = np.where(largest > 0, largest, np.inf)
@@ -327,7 +321,7 @@ class Inside:
         free = ~pressed & ~follows
         if free.any():
             points = np.repeat(free, v.shape[1])
-            eta[free] = nearest_to_graph(law[points], v[free], s[free], target[free], omega[free], at.weights)
+            eta[free] = nearest_to_graph(law.law[points], v[free], s[free], target[free], omega[free], at.weights)
         return with_mean(eta, low, high, s, at.weights)
 
 

@@ -49,19 +49,19 @@ class Penalised(Signorini):
 
 
 @dataclass(frozen=True)
-class LawPoints:
-    """Points in all facets of Γ_S and the law in each, measured from u = 0 and σ·n = 0.
+class LawPoints[P: Points]:
+    """Points in all facets of Γ_S, or in some cells, and the law in each, measured from u = 0 and σ·n = 0.
 
     Attributes:
         points: The points.
-        law: The law of each, facet after facet.
+        law: The law of each, facet after facet or cell after cell.
     """
 
-    points: FacetPoints
+    points: P
     law: Chains
 
     def extent(self) -> list[Array]:
-        """The smallest and largest u of the law, in arrays of shape (facets, points)."""
+        """The smallest and largest u and σ·n of the law, in arrays of shape (facets, points)."""
         return [end.reshape(self.points.shape) for end in self.law.extent()]
 
     def on(self, segment: Indices) -> tuple[Array, Array]:
@@ -77,7 +77,7 @@ class LawPoints:
         return self._at(self.law.flux, corner)
 
     def _at(self, values: Array, corner: Indices) -> Array:
-        column = np.repeat(corner, self.points.shape[1])[:, None]
+        column = np.minimum(np.repeat(corner, self.points.shape[1]), values.shape[1] - 1)[:, None]
         return np.take_along_axis(values, column, axis=1).reshape(self.points.shape)
 
 
@@ -120,7 +120,7 @@ class Goal:
 
     def at(
         self, spaces: Spaces, points: Array, weights: Array | None = None, corners: tuple[PartLaw, Array] | None = None
-    ) -> LawPoints:
+    ) -> LawPoints[FacetPoints]:
         """Points in all facets of Γ_S with the law in each (collective).
 
         `corners` has a part of Signorini's law and what stands for its q_S in the points, shape (facets, points).
@@ -209,7 +209,7 @@ class LawGap:
         cls,
         spaces: Spaces,
         metric: CellMetric,
-        at: LawPoints,
+        at: LawPoints[FacetPoints],
         v: Array,
         flux: Array,
         tilt: Array,

@@ -146,13 +146,12 @@ class Projection:
     def plus(self, other: Projection) -> Projection:
         """The sum of two loads, of any degrees; the norm of its remainder is at most that of both."""
         rest = (np.sqrt(self.rest) + np.sqrt(other.rest)) ** 2
-        short, long = sorted((self.coefficients, other.coefficients), key=lambda values: values.shape[1])
-        return Projection(long + np.pad(short, ((0, 0), (0, long.shape[1] - short.shape[1]))), rest)
+        size = max(self.coefficients.shape[1], other.coefficients.shape[1])
+        return Projection(self.padded(size).coefficients + other.padded(size).coefficients, rest)
 
-    def of_degree(self, cell: basix.CellType, degree: int) -> Projection:
-        """The same with coefficients up to a higher degree, which are 0."""
-        missing = orthonormal(cell, degree).dim - 1 - self.coefficients.shape[1]
-        return Projection(np.pad(self.coefficients, ((0, 0), (0, missing))), self.rest)
+    def padded(self, size: int) -> Projection:
+        """The same with so many coefficients, of which those of higher degrees are 0."""
+        return Projection(np.pad(self.coefficients, ((0, 0), (0, size - self.coefficients.shape[1]))), self.rest.copy())
 
     def of(self, rows: Mask) -> Projection:
         """The same of a selection of the cells."""
@@ -164,8 +163,7 @@ class Projection:
 
     def with_rows(self, rows: npt.NDArray[np.intp], other: Projection) -> Projection:
         """With others, of the same degree or a higher one, in these rows."""
-        missing = other.coefficients.shape[1] - self.coefficients.shape[1]
-        changed = Projection(np.pad(self.coefficients, ((0, 0), (0, missing))), self.rest.copy())
+        changed = self.padded(other.coefficients.shape[1])
         changed.coefficients[rows], changed.rest[rows] = other.coefficients, other.rest
         return changed
 

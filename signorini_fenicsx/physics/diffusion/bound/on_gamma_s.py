@@ -11,7 +11,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.bernstein import basis
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
-from signorini_fenicsx.discrete.points import Points, facet_type, in_facets
+from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, normal_flux
@@ -89,19 +89,19 @@ class OnGammaS:
         """y·n less its means, in points of the facets."""
         return self.tilt @ np.column_stack([1 - points.points.sum(axis=1), points.points]).T
 
-    def slope(self, at: LawPoints) -> Array:
+    def slope(self, at: LawPoints[FacetPoints]) -> Array:
         """β of the piece in points; 0 on a vertical one."""
         slope, _ = at.on(self.piece)
         return np.where(np.isinf(slope), 0.0, slope)
 
-    def flux_of_piece(self, at: LawPoints, v: Array) -> tuple[Array, Array]:
+    def flux_of_piece(self, at: LawPoints[FacetPoints], v: Array) -> tuple[Array, Array]:
         """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is rigid."""
         rigid = self.rigid[np.arange(len(self.segment)), self.segment][:, None]
         rigid[self.spaces.slave_rows] = True  # there y·n stays as it is, see `LawGap`
         slope = np.where(rigid, 0.0, self.slope(at))
         return slope, np.where(rigid, 0.0, at.on(self.piece)[1] - slope * v)
 
-    def flux_ends(self, at: LawPoints) -> tuple[Array, Array]:
+    def flux_ends(self, at: LawPoints[FacetPoints]) -> tuple[Array, Array]:
         """The least and the largest σ·n in points: those of the law, or of a rigid segment if y·n is between them."""
         low, high = at.extent()[2:]
         segment, last = self.segment, self.goal.chains.corners - 1
@@ -131,7 +131,7 @@ class OnGammaS:
         past, size = (comm.allreduce(float(each.max(initial=0.0)), MPI.MAX) for each in (past, size))
         return BEYOND if past > ROUNDING * size else ""
 
-    def held(self, nodes: LawPoints) -> tuple[Array, Mask, Mask]:
+    def held(self, nodes: LawPoints[FacetPoints]) -> tuple[Array, Mask, Mask]:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""
         rows = np.arange(len(self.segment))
         slope, value = nodes.on(self.segment)
@@ -139,7 +139,7 @@ class OnGammaS:
         nearly = self.steep[rows, self.segment] & ~fully & (slope > 0).all(axis=1)
         return trace_on(slope, value, self.flux[:, None]), fully, nearly
 
-    def ends(self, nodes: LawPoints) -> list[Array]:
+    def ends(self, nodes: LawPoints[FacetPoints]) -> list[Array]:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
 
         Returns:
@@ -160,7 +160,7 @@ class OnGammaS:
         soft_high = np.where(((beyond <= last) | only)[:, None], end, np.inf)
         return [low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)]
 
-    def loads(self, at: LawPoints) -> Array:
+    def loads(self, at: LawPoints[FacetPoints]) -> Array:
         """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces.
 
         The slope in it is the mean: where β varies the line is turned about its point with y·n, or that nearest to it.

@@ -227,7 +227,7 @@ def _load(
     """The load f − f_h on the owned cells, f_h without `Data.memory`; None if it is 0, as f is a number (collective).
 
     For RT1 f_h has the mean of this one, and the slope of −∇·y. Where f is enclosed, its projection has the degree
-    `of_load`, 1 or 2.
+    `of_load`.
     """
     if data.f.number is not None and not isinstance(flux, LinearFlux):
         return None
@@ -261,4 +261,4 @@ def _load(
         volume = 1 / math.factorial(metric.jacobian.shape[1])
         seen = Rest(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
         load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume
-    return load.of_degree(cell, high) if spaces.degree and of_load > OF_LOAD else load
+    return load.padded(orthonormal(cell, high).dim - 1) if spaces.degree and of_load > OF_LOAD else load

@@ -115,8 +115,10 @@ class StepBounds:
         if solution.data.stored is not None:  # what it takes, less what it stores, is constant on each cell
             return certificate_of(solution)
         if instant.step == 1:
-            self._start = steps.start_given()
-            self._before = [_Content(_at_start(steps, self._start), term=_start_term(self._start, len(steps.capacity)))]
+            self._start, ones = steps.start_given(), np.ones(len(steps.capacity))
+            given = self._start
+            as_term = None if given is None else Term("initial", given, lambda points: np.ones(points.shape), ones)
+            self._before = [_Content(_at_start(steps, self._start), term=as_term)]
         weights = steps.weights(instant.step)
         memory = None
         if len(self._before) >= len(weights):
@@ -146,11 +148,6 @@ class StepBounds:
 def _times(weight: float, term: Term) -> Term:
     """A multiple of a term."""
     return replace(term, q=lambda points: weight * term.q(points), size=abs(weight) * term.size)
-
-
-def _start_term(given: Datum | None, number: int) -> Term | None:
-    """The content at the start as a term; None where it is not known as a text."""
-    return None if given is None else Term("initial", given, lambda points: np.ones(points.shape), np.ones(number))
 
 
 def _at_start(steps: DiffusionSteps, given: Datum | None) -> InPoints:

@@ -172,7 +172,7 @@ class BestDisplacement:
     def _pressing(self) -> tuple[Array, float]:
         """What presses on the coefficients of v_n, beside kinks and springs, and the part of the gap without v."""
         contact, of_y = self.contact, self.pressure
-        forces = self._in_coefficients(of_y, contact.facets.measure)
+        forces = contact.facets.measure[:, None] * (of_y @ moments_of(contact))
         apart = 0.0
         for law in self.laws:
             (slope, value), opening = law.line(), self.openings[law.rows]
@@ -394,7 +394,3 @@ class BestDisplacement:
         """∫ v φ_a over the facets `contact`, of the jump where two bodies touch, shape (facets, d, d)."""
         coefficients = self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
         return np.einsum("n,ak,nki->nai", self.contact.facets.measure, moments_of(self.contact), coefficients)
-
-    def _in_coefficients(self, values: Array, measure: Array) -> Array:
-        """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
-        return measure[:, None] * (values @ moments_of(self.contact))
