@@ -10,11 +10,13 @@ infinite where v or η is outside of what the graph allows. On a segment of the 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.points import Points
 
 
 def gap(law: Chains, v: Array, eta: Array) -> Array:
@@ -60,6 +62,43 @@ def half_gap(law: Chains, v: Array, eta: Array) -> Array:
             u = np.clip((beta * v - eta + value) / (2 * beta), ends[:, segment], ends[:, segment + 1])
             most = np.where(sloped, np.maximum(most, (eta - value + beta * u) * (v - u)), most)
     return most
+
+
+@dataclass(frozen=True)
+class LawPoints[P: Points]:
+    """Points in all facets of Γ_S, or in some cells, and the law in each, measured from u = 0 and σ·n = 0.
+
+    Attributes:
+        points: The points.
+        law: The law of each, facet after facet or cell after cell.
+    """
+
+    points: P
+    law: Chains
+
+    def extent(self) -> list[Array]:
+        """The smallest and largest u and σ·n of the law, in arrays of shape (facets, points)."""
+        return [end.reshape(self.points.shape) for end in self.law.extent()]
+
+    def on(self, segment: Indices) -> tuple[Array, Array]:
+        """β and value of a segment of each facet, shape (facets, points)."""
+        return self._at(self.law.slope, segment), self._at(self.law.value, segment)
+
+    def traces(self, segment: Indices) -> list[Array]:
+        """The least and the largest u of a segment of each facet, shape (facets, points)."""
+        return [self._at(self.law.ends[0], segment + end) for end in (0, 1)]
+
+    def flux_at(self, corner: Indices) -> Array:
+        """σ·n at one corner of the law of each facet, in points."""
+        return self._at(self.law.flux, corner)
+
+    def areas(self, area: Area, v: Array, eta: Array) -> Array:
+        """What the laws add for v and η in the points, shape (facets, points) each."""
+        return area(self.law, v.ravel(), eta.ravel()).reshape(self.points.shape)
+
+    def _at(self, values: Array, corner: Indices) -> Array:
+        column = np.minimum(np.repeat(corner, self.points.shape[1]), values.shape[1] - 1)[:, None]
+        return np.take_along_axis(values, column, axis=1).reshape(self.points.shape)
 
 
 def with_mean(base: Array, low: Array, high: Array, mean: Array, weights: Array) -> Array:

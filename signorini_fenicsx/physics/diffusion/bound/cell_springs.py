@@ -16,12 +16,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, function_of, sums_at
+from signorini_fenicsx.certificate.laws import LawPoints
 from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, degree_of, nodes_of
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
-from signorini_fenicsx.physics.diffusion.bound.laws import LawPoints, held_beyond, pieces_beside, trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
 from signorini_fenicsx.physics.diffusion.bound.relaxation import SpringsInCells

@@ -42,7 +42,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
-from signorini_fenicsx.certificate.laws import Area, gap, with_mean
+from signorini_fenicsx.certificate.laws import Area, LawPoints, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Corners, Obstacle
 from signorini_fenicsx.discrete.bernstein import degree_of, exponents
@@ -51,7 +51,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.laws import LawPoints, trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_LAW,
@@ -258,7 +258,7 @@ class Inside:
                     load.coefficients[ids], load.rest[ids] = part.coefficients, part.rest
                     held = self.held[ids]
                     eta[held] = -(self.sides[ids] * self.largest[ids])[held, None]
-                    density = area(law.law, v.ravel(), -eta.ravel()).reshape(at.shape)
+                    density = law.areas(area, v, -eta)
                     squares[ids] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
         return squares, load

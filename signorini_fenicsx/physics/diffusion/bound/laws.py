@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.certificate.laws import Area, gap, with_mean
+from signorini_fenicsx.certificate.laws import Area, LawPoints, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.law import Graph, Values
 from signorini_fenicsx.contact.laws import Signorini
@@ -46,39 +46,6 @@ class Penalised(Signorini):
     def graph(self, values: Values) -> Graph:
         """The corner is that of the Signorini law."""
         return replace(super().graph(values), before=self.before, beyond=self.beyond)
-
-
-@dataclass(frozen=True)
-class LawPoints[P: Points]:
-    """Points in all facets of Γ_S, or in some cells, and the law in each, measured from u = 0 and σ·n = 0.
-
-    Attributes:
-        points: The points.
-        law: The law of each, facet after facet or cell after cell.
-    """
-
-    points: P
-    law: Chains
-
-    def extent(self) -> list[Array]:
-        """The smallest and largest u and σ·n of the law, in arrays of shape (facets, points)."""
-        return [end.reshape(self.points.shape) for end in self.law.extent()]
-
-    def on(self, segment: Indices) -> tuple[Array, Array]:
-        """β and value of a segment of each facet, shape (facets, points)."""
-        return self._at(self.law.slope, segment), self._at(self.law.value, segment)
-
-    def traces(self, segment: Indices) -> list[Array]:
-        """The least and the largest u of a segment of each facet, shape (facets, points)."""
-        return [self._at(self.law.ends[0], segment + end) for end in (0, 1)]
-
-    def flux_at(self, corner: Indices) -> Array:
-        """σ·n at one corner of the law of each facet, in points."""
-        return self._at(self.law.flux, corner)
-
-    def _at(self, values: Array, corner: Indices) -> Array:
-        column = np.minimum(np.repeat(corner, self.points.shape[1]), values.shape[1] - 1)[:, None]
-        return np.take_along_axis(values, column, axis=1).reshape(self.points.shape)
 
 
 @dataclass(frozen=True)
@@ -238,7 +205,7 @@ class LawGap:
         theta = 1 / (1 + slope.mean(axis=1) * constant**2)
         kept = np.where(slope > 0, 1 - theta[:, None], 1.0) * tilt
         eta = with_mean(theta[:, None] * wanted + kept, *ends, flux, points.weights)
-        density = area(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
+        density = at.areas(area, v, eta)
         rest = eta - flux[:, None] - tilt
         rest[spaces.slave_rows] = 0.0  # but for rounding, see `OnGammaS.beyond`
         return cls(points, density, FacetLoad(points, rest, missed))
@@ -269,7 +236,7 @@ def energies(part: PartLaw, points: Points, u: Array, flux_h: Array | None = Non
         flux_h: As for `PartLaw.chains`.
     """
     flux = np.reshape(part.falling(points, flux_h).reference[1], points.shape)
-    return gap(part.chains(points, flux_h), u.ravel(), flux.ravel()).reshape(points.shape) - flux * u
+    return LawPoints(points, part.chains(points, flux_h)).areas(gap, u, flux) - flux * u
 
 
 def _is_rough(datum: Datum) -> bool:

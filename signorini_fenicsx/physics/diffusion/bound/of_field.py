@@ -27,11 +27,8 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         parts = gap_parts(repaired, repaired, goal)
         of_repaired = summed(repaired, parts)
         to_bernstein(field)
-        flux, of_field = (
-            solution.data.driving(solution.cell_flux),
-            replace(pair.trace, v=field, cells=pair.trace.cells[:0]),
-        )
-        squares = pair.energies.squares(flux, of_field)
+        of_field = replace(pair.trace, v=field, cells=pair.trace.cells[:0])
+        squares = pair.energies.squares(solution.data.driving(solution.cell_flux), of_field)
         most = (np.sqrt(squares.most) + pair.off_b) ** 2
         least = np.maximum(np.sqrt(squares.least) - pair.off_b, 0.0) ** 2
         moved = np.sqrt(pair.energies.squares(None, repaired.trace, field).most) + parts.hidden + repaired.trace.lacking

@@ -9,10 +9,11 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.certificate.laws import LawPoints
 from signorini_fenicsx.discrete.bernstein import basis
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_type, in_facets
-from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside, trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal, held_beyond, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -122,12 +123,9 @@ class OnGammaS:
     def beyond(self) -> str:
         """Why laws of pairs of surfaces do not allow y·n in all points; empty if they do (collective)."""
         facet, comm = facet_type(self.spaces.mesh.topology.dim), self.spaces.mesh.comm
-        at, slaves = (
-            self.goal.at(self.spaces, *basix.make_quadrature(facet, self.goal.degree())),
-            self.spaces.slave_rows,
-        )
+        at = self.goal.at(self.spaces, *basix.make_quadrature(facet, self.goal.degree()))
         flux, (low, high) = self.flux_at(at.points), at.extent()[2:]
-        past, size = np.maximum(low - flux, flux - high)[slaves], np.abs(flux)
+        past, size = np.maximum(low - flux, flux - high)[self.spaces.slave_rows], np.abs(flux)
         past, size = (comm.allreduce(float(each.max(initial=0.0)), MPI.MAX) for each in (past, size))
         return BEYOND if past > ROUNDING * size else ""
 

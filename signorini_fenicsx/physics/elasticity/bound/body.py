@@ -169,10 +169,8 @@ def _on_cells(cells: Cells, compliance: Array, of_facets: npt.NDArray[np.floatin
     hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
     masses = np.einsum("n,ab,nij->naibj", cells.measure / (dim + 1), hats, compliance)
     masses = masses.reshape(len(masses), 1, *[hats.shape[0] * compliance.shape[1]] * 2).repeat(dim + 1, axis=1)
-    products, tractions = (
-        compliance_product(cells.stresses(element.stresses), masses),
-        cells.tractions(element.tractions),
-    )
+    products = compliance_product(cells.stresses(element.stresses), masses)
+    tractions = cells.tractions(element.tractions)
     balance = -np.kron(np.eye(dim + 1), np.linalg.inv(cells.derivative))
     of_free, of_rest = tractions[:, :, free], tractions[:, :, rest] @ balance
     coupled = products[:, free, rest] @ balance

@@ -254,10 +254,8 @@ def _flows(
         frames: Directions of the coefficients around cells.
         modulus: The bulk modulus inside of them.
     """
-    dim, around = (
-        block.shape[1] - 1,
-        space.element.basix_element.entity_closure_dofs[-2][-1],
-    )  # the last vertex is inside
+    dim = block.shape[1] - 1
+    around = space.element.basix_element.entity_closure_dofs[-2][-1]  # the last vertex is inside
     vertices = split.mesh.geometry.x[cell_nodes(split.mesh)[block.ravel()], :dim]
     normals = facet_normals(vertices)[:, -1].reshape(*block.shape, dim)
     flows = np.zeros((*frames.shape[:2], dim))

@@ -25,11 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.certificate.laws import gap, half_gap
+from signorini_fenicsx.certificate.laws import LawPoints, gap, half_gap
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import chains_of
-from signorini_fenicsx.discrete.points import facet_quadrature
+from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import ContactCoefficients
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -55,7 +55,7 @@ class LawOnFacets:
     law: NormalLaw
     rows: Indices
     chains: Chains
-    at_points: Chains
+    at_points: LawPoints[FacetPoints]
     basis: Array
     hats: Array
     weights: Array
@@ -92,7 +92,7 @@ class LawOnFacets:
             law=law,
             rows=rows,
             chains=Chains.through(p, flux, slope[:, 0], slope[:, -1]),
-            at_points=chains_of(corners, points.shape[0] * points.shape[1]),
+            at_points=LawPoints(points, chains_of(corners, points.shape[0] * points.shape[1])),
             basis=basis,
             hats=lam,
             weights=facets.measure[:, None] * points.weights / points.weights.sum(),
@@ -101,18 +101,10 @@ class LawOnFacets:
 
     def line(self) -> tuple[Array, Array]:
         """β and the pressure at p = 0 of the line on which v is, in the points; beside a vertical one a flat one."""
-        column = np.repeat(self.segment, self.weights.shape[1])[:, None]
-        slope, value = (
-            np.take_along_axis(values, column, axis=1).reshape(self.weights.shape)
-            for values in (self.at_points.slope, self.at_points.value)
-        )
-        beside = np.take_along_axis(self.at_points.flux, self._beside(column), axis=1).reshape(self.weights.shape)
-        upright = np.isinf(slope)
+        slope, value = self.at_points.on(self.segment)
+        upright = np.isinf(slope)  # beside it the flat line goes through one of its ends
+        beside = self.at_points.flux_at(np.where(self.segment < self.chains.corners, self.segment, self.segment - 1))
         return np.where(upright, 0.0, slope), np.where(upright, beside, value)
-
-    def _beside(self, segment: Indices) -> Indices:
-        """The corner through which the flat line beside a vertical segment goes."""
-        return np.where(segment < self.chains.corners, segment, segment - 1)
 
     def kinks(self) -> list[tuple[Array, Array, Array]]:
         """The opening, the jump of the pressure and on which side of v's line it is (1 for smaller p), of each facet.
@@ -142,9 +134,7 @@ class LawOnFacets:
         """
         at = np.einsum("fqk,fk->fq", self.basis, p), np.einsum("fqa,fa->fq", self.hats, pressure)
         if not self.law.moves_only():
-            area = half_gap if half else gap
-            density = area(self.at_points, at[0].ravel(), at[1].ravel()).reshape(self.weights.shape)
-            return np.asarray((self.weights * density).sum(axis=1))
+            return np.asarray((self.weights * self.at_points.areas(half_gap if half else gap, *at)).sum(axis=1))
         total = (self.weights * at[0] * at[1]).sum(axis=1)
         exchanged = _exchanged(self.chains)
         for chains, values, basis, inside in (
@@ -163,8 +153,7 @@ class LawOnFacets:
         """
         at = np.einsum("fqk,fk->fq", self.basis, p)
         if not self.law.moves_only():
-            density = gap(self.at_points, at.ravel(), np.zeros(at.size)).reshape(at.shape)
-            return np.asarray((self.weights * density).sum(axis=1))
+            return np.asarray((self.weights * self.at_points.areas(gap, at, np.zeros(at.shape))).sum(axis=1))
         share = np.einsum("fq,fqk->fk", self.weights, self.basis)
         return _least_above(self.chains, p, share, at, self.weights)
 

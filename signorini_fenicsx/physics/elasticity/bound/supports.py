@@ -53,10 +53,7 @@ class SupportsOfDisplacement:
         points, weights = facet_rule(spaces.dim, 2 * on.degree)
         basis = on.basis(points)
         on_walls = np.einsum("nak,nki->nai", shear, spaces.tangents) + data.pulled[spaces.rough_rows]
-        w, wall = (
-            supports.moved(spaces, data.tractions, stresses, on_walls),
-            np.zeros((*supports.facets.vertices.shape,)),
-        )
+        w, wall = supports.moved(spaces, data.tractions, stresses, on_walls), np.zeros(supports.facets.vertices.shape)
         walls, rows = supports.walls(spaces)
         wall[walls] = linear_from_means(spaces.along(data.slip_before)[rows])
         w, wall = (on.hats @ each[on.rows] for each in (w + wall, wall))

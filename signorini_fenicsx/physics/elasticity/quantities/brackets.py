@@ -290,10 +290,8 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
 
         def add(points: Points, ways: Array, share: float) -> None:
             of_cells = u.x.array.reshape(-1, dim)[u.function_space.dofmap.list[points.cells]]
-            values, along_ways = (
-                self.weight.values(points),
-                np.einsum("npv,nvi,ni->np", points.barycentric, of_cells, ways),
-            )
+            along_ways = np.einsum("npv,nvi,ni->np", points.barycentric, of_cells, ways)
+            values = self.weight.values(points)
             sums[:] += points.integrals(values * along_ways).sum(), share * points.integrals(values).sum()
 
         for points in self.where() if not parts else ():
@@ -326,10 +324,8 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
         if not self.kind.parts:
             assert along is not None
             subcells = spaces.split.cells[self.cells].ravel()
-            v, measure = (
-                Along.of(of.v, subcells, along),
-                np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1),
-            )
+            measure = np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1)
+            v = Along.of(of.v, subcells, along)
             total[1] = self._lacked(of, float(np.linalg.norm(along)))
             return total + products(tree, v.vertices, measure, v.at, degree, spaces.frame, enough).total
         inner = [other_side(part) for part in self.kind.parts if part in self.solution.boundary.inner]
