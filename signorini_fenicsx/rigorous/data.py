@@ -1,13 +1,13 @@
 """The data of a case for the theorem: they are enclosed, never only sampled."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reference_cells import EDGES
 from signorini_fenicsx.expressions import Tree, interval, values
@@ -123,6 +123,31 @@ def _in_nodes(p: Quadratic, vertices: Array, x: Interval) -> Interval:
     return linear + bent + p.value[:, None]
 
 
+type Term = tuple[Tree, Mask, Iterable[Any]]
+"""A tree, the mask of its cells, and the entries in which it is there."""
+
+
+def linear_on(
+    vertices: Array, shape: tuple[int, ...], terms: Iterable[Term], elementary: Elementary, name: str
+) -> tuple[Interval, Array]:
+    """Arrays whose entries are sums of trees, linear on each cell, at its vertices, and bounds of what is left of each.
+
+    Args:
+        vertices: Of the cells, shape (cells, d + 1, d).
+        shape: Of the arrays.
+        terms: The trees.
+        elementary: As in `deviation`.
+        name: Likewise.
+    """
+    corners, deviations = Interval(*np.zeros((2, *vertices.shape[:2], *shape))), np.zeros((len(vertices), *shape))
+    for tree, cells, entries in terms:
+        found = deviation(tree, vertices[cells], elementary, name=name, degree=1)
+        for entry in entries:
+            corners[cells, :, *entry] += found.nodes[:, : vertices.shape[1]]
+            deviations[cells, *entry] += found.largest * (1 + 1e-15)
+    return corners, deviations
+
+
 @dataclass(frozen=True)
 class Given:
     """The trees of a case's data, and bounds of elementary functions.
@@ -168,21 +193,15 @@ class Given:
         """
         names, inside = discrete.regions
         count, size = len(cells.vertices), max(len(rows) for rows in self.kappa.values())
-        corners = Interval(*np.zeros((2, count, cells.dim + 1, size, size)))
-        deviations = np.zeros((count, size, size))
+        terms: list[Term] = []
         is_set = np.zeros(count, dtype=bool)
         for region, rows in self.kappa.items():
-            chosen = np.arange(count) if region == "" else np.flatnonzero(inside[:, names.index(region)])
-            is_set[chosen] = True
+            chosen = np.ones(count, dtype=bool) if region == "" else inside[:, names.index(region)]
+            is_set |= chosen
             for i, j in itertools.combinations_with_replacement(range(size), 2):
-                if len(rows) == 1 < size and i != j:
-                    continue
-                tree = rows[i % len(rows)][j % len(rows)]
-                entry = deviation(tree, cells.vertices[chosen], self.elementary, name="kappa", degree=1)
-                for k, m in ((i, j), (j, i)):
-                    corners.lo[chosen, :, k, m] = entry.nodes.lo[:, : cells.dim + 1]
-                    corners.hi[chosen, :, k, m] = entry.nodes.hi[:, : cells.dim + 1]
-                    deviations[chosen, k, m] = entry.largest
+                if len(rows) > 1 or size == 1 or i == j:
+                    terms.append((rows[i % len(rows)][j % len(rows)], chosen, {(i, j), (j, i)}))
         if not is_set.all():
             raise InputError("kappa must be an expression in all regions, as in a case file")
+        corners, deviations = linear_on(cells.vertices, (size, size), terms, self.elementary, "kappa")
         return Tensor(cells, corners, root(total(total(squared(enclosing(deviations))))).hi)

@@ -35,7 +35,7 @@ from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.scope import outside
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.rigorous.data import deviation, enclosed_at
+from signorini_fenicsx.rigorous.data import Term, enclosed_at, linear_on
 from signorini_fenicsx.rigorous.discrete import opposed
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given, gathered
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
@@ -130,33 +130,20 @@ def _split(cells: Simplices) -> Simplices:
 
 def _compliance(discrete: ElasticDiscrete, given: Given, subcells: Simplices) -> Tensor:
     """𝔸 on the subcells, (1 + ν)/E times the unit matrix, and the same number beside it for all normal stresses."""
-    dim, entries = discrete.dim, pairs(discrete.dim)
-    count = len(discrete.vertices)
-    corners = Interval(*np.zeros((2, count, dim + 1, len(entries), len(entries))))
-    deviations = np.zeros((count, len(entries), len(entries)))
+    dim, number, terms = discrete.dim, len(pairs(discrete.dim)), list[Term]()
     for young, with_young in given.each(discrete.material[:, 0]):
         for poisson, with_poisson in given.each(discrete.material[:, 1]):
-            chosen = np.flatnonzero(with_young & with_poisson)
             longer = Binary("+", exactly(1), poisson)
             across = Binary("*", poisson, longer) if dim == 2 and given.in_strain else poisson
-            on_diagonal, beside = [(k, k) for k in range(len(entries))], list(np.ndindex(dim, dim))
-            for of_young, places in ((longer, on_diagonal), (Negative(across), beside)):
-                tree = Binary("/", of_young, young)
-                enclosed = deviation(
-                    tree, discrete.vertices[chosen], given.elementary, name="young or poisson", degree=1
-                )
-                hats = enclosed.nodes[:, : dim + 1]
-                for i, j in places:
-                    more = corners[chosen, :, i, j] + hats
-                    corners[chosen, :, i, j] = more
-                    deviations[chosen, i, j] += enclosed.largest * (1 + 1e-15)
-    deviations = root(total(total(squared(enclosing(deviations))))).hi
-    return Tensor(
-        subcells,
-        _on_subcells(corners),
-        np.repeat(deviations, dim + 1),
-        name="the compliance of young and poisson",
-    )
+            on_diagonal, both = [(k, k) for k in range(number)], with_young & with_poisson
+            terms += [
+                (Binary("/", longer, young), both, on_diagonal),
+                (Binary("/", Negative(across), young), both, list(np.ndindex(dim, dim))),
+            ]
+    found = linear_on(discrete.vertices, (number, number), terms, given.elementary, "young or poisson")
+    deviations = root(total(total(squared(enclosing(found[1]))))).hi
+    of_subcells = _on_subcells(found[0]), np.repeat(deviations, dim + 1)
+    return Tensor(subcells, *of_subcells, name="the compliance of young and poisson")
 
 
 def _own_strain(discrete: ElasticDiscrete, given: Given) -> tuple[Interval, Array]:
@@ -164,23 +151,17 @@ def _own_strain(discrete: ElasticDiscrete, given: Given) -> tuple[Interval, Arra
 
     In plane strain ε_zz = 0, and ν times the zz of the eigenstrain is in the normal entries.
     """
-    dim, count, entries = discrete.dim, len(discrete.vertices), pairs(discrete.dim)
-    corners = Interval(*np.zeros((2, count, dim + 1, len(entries))))
-    deviations = np.zeros((count, len(entries)))
-    terms = [(k, tree, mask) for k in range(len(entries)) for tree, mask in given.each(discrete.own[:, k])]
+    dim, number = discrete.dim, len(pairs(discrete.dim))
+    terms: list[Term] = [(tree, mask, [(k,)]) for k in range(number) for tree, mask in given.each(discrete.own[:, k])]
     if dim == 2 and given.in_strain:
         for beyond, with_beyond in given.each(discrete.own[:, -1]):
             for poisson, with_poisson in given.each(discrete.material[:, 1]):
-                pressed_out = Binary("*", poisson, beyond)
                 both = with_beyond & with_poisson
-                terms += [(k, pressed_out, both) for k in range(dim) if both.any()]
-    for k, tree, mask in terms:
-        found = deviation(tree, discrete.vertices[mask], given.elementary, name="eigenstrain", degree=1)
-        weight = enclosing(1.0) if k < dim else root(enclosing(2.0))
-        more = corners[mask, :, k] + found.nodes[:, : dim + 1] * weight
-        corners[mask, :, k] = more
-        deviations[mask, k] += found.largest * weight.hi * (1 + 1e-15)
-    return _on_subcells(corners), np.repeat(root(total(squared(enclosing(deviations)))).hi, dim + 1)
+                terms += [(Binary("*", poisson, beyond), both, [(k,) for k in range(dim)])] if both.any() else []
+    corners, deviations = linear_on(discrete.vertices, (number,), terms, given.elementary, "eigenstrain")
+    weights = stacked([enclosing(1.0)] * dim + [root(enclosing(2.0))] * (number - dim))
+    sizes = root(total(squared(deviations * weights)))
+    return _on_subcells(corners * weights), np.repeat(sizes.hi, dim + 1)
 
 
 def _on_subcells(corners: Interval) -> Interval:
