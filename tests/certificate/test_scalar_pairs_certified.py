@@ -1,5 +1,6 @@
 """Scalar pairs of surfaces: the bound beside finer meshes and matching ones, quantities, derivatives, any ranks."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -31,6 +32,7 @@ from signorini_fenicsx.api import (
     domain_of_bodies,
     solve,
 )
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities.kinds import Flux, Mean
 
@@ -48,13 +50,19 @@ LAWS = {
 
 
 def boxes(
-    upper: int, lower: int, dim: int = 2, left: float = 0.0, height: float = 0.0, comm: MPI.Intracomm = MPI.COMM_SELF
+    upper: int,
+    lower: int,
+    dim: int = 2,
+    left: float = 0.0,
+    height: float = 0.0,
+    comm: MPI.Intracomm = MPI.COMM_SELF,
+    pairs: Sequence[Sequence[str]] = (SIDES,),
 ) -> Domain:
     """Two boxes with so many cells along an edge of each, the upper one from `left` on and so high above the other."""
     aside, ends = [0.0] * (dim - 2), [1.0] * (dim - 1)
     up = box([left, *aside, height], [*ends, height + 1.0], [upper] * dim, comm)
     low = box([0.0, *aside, -1.0], [*ends, 0.0], [lower] * dim, comm)
-    return domain_of_bodies({"up": up, "low": low}, pairs=[SIDES])
+    return domain_of_bodies({"up": up, "low": low}, pairs=pairs)
 
 
 def posed(law: Any, dim: int = 2, **more: Any) -> Diffusion:
@@ -155,3 +163,7 @@ def test_several_ranks() -> None:
     world = MPI.COMM_WORLD
     alone = world.bcast(bounds(MPI.COMM_SELF) if world.rank == 0 else [])
     assert bounds(world) == pytest.approx(alone, rel=1e-9)
+    apart = solve(boxes(4, 5, left=0.17, comm=world, pairs=()), posed(LAWS["tied"]))
+    assert "give these parts as `pairs` where the domain is made" in certify(apart).if_none
+    with pytest.raises(InputError, match="Mean: both sides of the pair"):
+        apart.quantity(Mean(region="up"))
