@@ -138,13 +138,13 @@ def _shipped() -> Iterator[Capability]:
     """All shipped cases on coarse meshes."""
     eighths = "example1 example4 biactive singular transition wall regulator two_sided staircase friction outlet filter"
     sizes = {"1/8": f"{eighths} soil_column hertz", "1/4": "example2 example5", "1/2": "lprism edge sphere"}
+    by_rounding = {"staircase": STOPS | {"gap"}, "soil_column": PATH}
     for case, h in ((case, h) for h, cases in sizes.items() for case in cases.split()):
-        yield solved(case, *STRUCTURED, h=h, beside=STOPS | {"gap"} if case == "staircase" else frozenset())
-    for case in ("example3", "example6", "crack"):
-        yield solved(case, h="1/4")
+        yield solved(case, *STRUCTURED, h=h, beside=by_rounding.get(case, frozenset()))
+    yield from (solved(case, h="1/4") for case in ("example3", "example6", "crack"))
     for case in ("cube", "singular3d", "transition3d"):
         yield solved(case, *STRUCTURED, h="1/3", slow=case == "singular3d")
-    yield from (solved(case, h=h) for case, h in (("ball", "1/2"), ("rock_joint", "1")))
+    yield from (solved("ball", h="1/2"), solved("rock_joint", h="1", beside=PATH))
     for case in ("dam", "electropainting", "fault"):
         yield solved(case, beside=PATH)
     yield solved("dam_baiocchi", *STRUCTURED, h="2", beside=PATH)

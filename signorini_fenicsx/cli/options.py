@@ -81,15 +81,17 @@ def overrides(settings: list[str] | None = None, **options: object) -> dict[str,
         options: Values of keys of [solve] that have their own options; None if not given.
 
     Raises:
-        InputError: If a setting is not KEY=VALUE.
+        InputError: If a setting is not KEY=VALUE, or a key has two values.
     """
-    values: dict[str, object] = {}
+    values: dict[str, object] = {f"solve.{name}": value for name, value in options.items() if value is not None}
     for setting in settings or []:
         key, separator, value = setting.partition("=")
         if not separator or not key:
             raise InputError(f"--set {setting}: must be KEY=VALUE, such as geometry.mesh=structured")
+        if key in values:
+            raise InputError(f"--set {setting}: {key} has the value {values[key]!r} by another option; give one of them")
         values[key] = _toml_value(value)
-    return values | {f"solve.{name}": value for name, value in options.items() if value is not None}
+    return values
 
 
 def _toml_value(text: str) -> object:
