@@ -89,7 +89,7 @@ def overrides(settings: list[str] | None = None, **options: object) -> dict[str,
         if not separator or not key:
             raise InputError(f"--set {setting}: must be KEY=VALUE, such as geometry.mesh=structured")
         if key in values:
-            raise InputError(f"--set {setting}: {key} has the value {values[key]!r} by another option; give one of them")
+            raise InputError(f"--set {setting}: {key} has the value {values[key]!r} already; give one of them")
         values[key] = _toml_value(value)
     return values
 

@@ -36,7 +36,7 @@ BAD_INPUT = [
     (["solve", "example1", "--set", "problem.f=__import__('os')"], "__import__"),
     (["solve", "example1", "--set", "problem.g=1"], "unknown key 'g'"),
     (["solve", "example1", "--set", "nonsense"], "KEY=VALUE"),
-    (["solve", "example1", "--h", "1/4", "--set", "solve.h=1"], "solve.h has the value '1/4' by another option"),
+    (["solve", "example1", "--h", "1/4", "--set", "solve.h=1"], "solve.h has the value '1/4' already"),
     (["solve", "example1", "--output", "file"], "is a file"),
     (["solve", "example1", "--output", "file/below"], "cannot be written"),
     (["solve", "example1", "--output", "full"], "is not empty"),
