@@ -125,7 +125,7 @@ MATERIAL = {"young": 1.3e11, "poisson": 0.2}
 def plate_mesh() -> Domain:
     """The left half of the plate, with parts of the plane around the published points."""
     corners = [[0.0, 0.0], [SIDE, SIDE]]
-    mesh = dolfinx.mesh.create_rectangle(MPI.COMM_SELF, corners, [64, 16])
+    mesh = dolfinx.mesh.create_rectangle(MPI.COMM_SELF, corners, [64, 20])
     ends = {name: (x - WIDTH / 2, x + WIDTH / 2) for name, (x, _) in PUBLISHED.items()} | {"rests": (RESTS, SIDE)}
 
     def between(x: np.ndarray, low: float, high: float) -> np.ndarray:
