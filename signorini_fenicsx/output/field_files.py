@@ -119,8 +119,7 @@ class Vtx:
         heads = 12_000 + 3_000 * comm.size + 7_000 * self._times
         size = topology.index_map(topology.dim).size_global * of_cell + heads
         on_root(comm, lambda: check_room(self._path.parent, {self._path.name: size}))
-        os.environ.setdefault("HOME", os.path.expanduser("~"))  # ADIOS2 looks there, and ends the process without
-        with _told():
+        with _told(), _with_home():
             self._file = io.VTXWriter(comm, self._path, self._functions, engine="BP4")
 
     def close(self) -> None:
@@ -169,3 +168,15 @@ def _told() -> Iterator[None]:
         yield
     except RuntimeError as error:
         raise WriteFailure("the fields for ParaView cannot be written") from error
+
+
+@contextmanager
+def _with_home() -> Iterator[None]:
+    """Set HOME in this context if it is not set: ADIOS2 looks for its settings there, and ends the process without."""
+    key, is_set = "HOME", "HOME" in os.environ
+    os.environ.setdefault(key, os.devnull)
+    try:
+        yield
+    finally:
+        if not is_set:
+            del os.environ[key]
