@@ -1,68 +1,67 @@
-"""Draws the tables and figures of the slides from the results of `scripts/reproduce.py`, without any PDE code.
+"""The tables and figures that `scripts/reproduce.py` makes of runs of studies, and the page that shows them."""
 
-Usage: python scripts/figures.py [FOLDER]      (default: results/reproduction)
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-Reads `reproduction.json` and the runs in `runs/`, writes a PNG and a PDF per figure, a CSV per table and `index.html`.
-"""
-
-import csv
 import html
 import itertools
 import json
 import math
 import re
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+import pyarrow.csv
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
-STYLE = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 10,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "legend.frameon": False,
-    "savefig.dpi": 150,
-}
+from signorini_fenicsx.base.versions import versions
+from signorini_fenicsx.pictures.style import limits, power
+from signorini_fenicsx.studies.folder import Record
+from signorini_fenicsx.studies.study import Run
+
 SLIDES = {"alg1": "Algorithm 1", "alg2": "Algorithm 2", "alg3": "Algorithm 3", "alg4": "Algorithm 4"}
-QUANTILE = 0.99
-"""The colour scale of |σ_h| ends here, because a corner may have much larger values."""
 
 
 @dataclass(frozen=True)
-class KeptRun:
+class Kept:
     """A finished run on disk.
 
     Attributes:
+        run: The run.
         folder: Its folder.
-        parameters: All keys of its case, dotted.
-        seconds: Its wall time.
+        record: How it ended.
     """
 
+    run: Run
     folder: Path
-    parameters: dict[str, Any]
-    seconds: float
+    record: Record
 
     @property
     def algorithm(self) -> str:
-        """Its algorithm."""
-        return str(self.parameters["solve.algorithm"])
+        """Its algorithm, as the slides call it."""
+        return SLIDES[self.run.case.solve.algorithm]
 
-    def rows(self, name: str) -> list[dict[str, float]]:
-        """A CSV file of numbers and of True and False, which are 1 and 0, with NaN for empty cells."""
-        words = {"True": "1", "False": "0", "": "nan"}
-        with (self.folder / name).open(newline="", encoding="utf-8") as file:
-            return [{key: float(words.get(value, value)) for key, value in row.items()} for row in csv.DictReader(file)]
+    @property
+    def numbers(self) -> dict[str, float]:
+        """H, and ε if there is a penalty, by their symbols."""
+        solving = self.run.case.solve
+        return {"h": solving.h} | ({"ε": solving.eps} if self.run.case.method.has_eps else {})
+
+    @property
+    def varies(self) -> str:
+        """The symbol of what varies from row to row; empty if it is one solve."""
+        return {"h": "h", "eps": "ε"}[self.record.summary["vary"]] if self.run.convergence else ""
+
+    def rows(self, name: str) -> list[dict[str, Any]]:
+        """The rows of one of its tables, with None for empty cells."""
+        rows: list[dict[str, Any]] = pyarrow.csv.read_csv(self.folder / name).to_pylist()
+        return rows
 
     def solution(self) -> dict[str, Any]:
         """The arrays of its checkpoint, with its JSON part under `about`."""
@@ -73,54 +72,26 @@ class KeptRun:
         return arrays | {"about": json.loads((place / "about.json").read_text(encoding="utf-8"))}
 
 
-def power(value: float) -> str:
-    """A number as the slides print it, in mathematical type: 2^{-5}, 10^{-8}, or its digits."""
-    for base in (2, 10):
-        exponent = round(math.log(value, base))
-        if abs(exponent) > 1 and math.isclose(value, float(base) ** exponent, rel_tol=1e-12):
-            return f"{base}^{{{exponent}}}"
-    return f"{value:.4g}"
-
-
 def as_html(text: str) -> str:
     """Powers and indices of mathematical type as HTML."""
     text = re.sub(r"\^\{?(-?\w+)\}?", r"<sup>\1</sup>", html.escape(text))
     return re.sub(r"_\{?(\w+)\}?", r"<sub>\1</sub>", text).replace("<sup>-", "<sup>−")
 
 
-def settings(runs: list[KeptRun]) -> str:
-    """Algorithms, h and ε of some runs, and the parameters that studies vary."""
-    words = [" and ".join(sorted({SLIDES[run.algorithm] for run in runs}))]
-    studies = [run for run in runs if (run.folder / "convergence.csv").exists()]
-    if not studies:
-        words += [f"h = {power(h)}" for h in sorted({run.parameters["solve.h"] for run in runs})]
-        words += [f"ε = {power(eps)}" for eps in sorted(_epsilons(runs), reverse=True)]
-    for vary, symbol in (("h", "h"), ("eps", "ε")):
-        about = {run.folder: json.loads((run.folder / "summary.json").read_text(encoding="utf-8")) for run in studies}
-        shown = [run for run in studies if about[run.folder]["vary"] == vary]
-        if shown:
-            fixed = {f"h = {power(run.parameters['solve.h'])}" for run in shown}
-            fixed = {f"ε = {power(eps)}" for eps in _epsilons(shown)} if vary == "h" else fixed
-            at = "".join(f" at {value}" for value in sorted(fixed))
-            against = {about[run.folder]["reference"].replace(run.algorithm, "the same algorithm") for run in shown}
-            words.append(f"over {symbol}{at} against {' or '.join(sorted(against))}".replace("alg1", SLIDES["alg1"]))
+def settings(runs: Sequence[Kept]) -> str:
+    """Algorithms, h and ε of some runs, and of studies what varies, and against which reference."""
+    words = [" and ".join(sorted({run.algorithm for run in runs}))]
+    for symbol in ("", "h", "ε"):
+        some = [run for run in runs if run.varies == symbol]
+        words += [f"over {symbol}"] if some and symbol else []
+        fixed = {(name, value) for run in some for name, value in run.numbers.items() if name != symbol}
+        words += [f"{name} = {power(value)}" for name, value in sorted(fixed)]
+        references = sorted({run.record.summary["reference"] for run in some if symbol})
+        words += [re.sub(r"alg\d", lambda name: SLIDES[name[0]], f"against {reference}") for reference in references]
     return ", ".join(words)
 
 
-def _epsilons(runs: list[KeptRun]) -> set[float]:
-    return {run.parameters["solve.eps"] for run in runs if run.algorithm in ("alg3", "alg4")}
-
-
-def read_runs(folder: Path, names: list[str]) -> list[KeptRun]:
-    """Runs by their names."""
-    runs = []
-    for name in names:
-        about = json.loads((folder / "runs" / name / "run.json").read_text(encoding="utf-8"))
-        runs.append(KeptRun(folder / "runs" / name, about["parameters"], about["seconds"]))
-    return runs
-
-
-def draw_region(runs: list[KeptRun]) -> Figure:
+def draw_region(runs: Sequence[Kept]) -> Figure:
     """Figure 1: a smooth domain whose boundary consists of Γ_D and Γ_S."""
     t = np.linspace(0, 2 * np.pi, 400)
     r = 1 + 0.12 * np.cos(2 * t + 0.4) + 0.08 * np.sin(3 * t)
@@ -138,7 +109,7 @@ def draw_region(runs: list[KeptRun]) -> Figure:
     return figure
 
 
-def draw_solution(runs: list[KeptRun]) -> Figure:
+def draw_solution(runs: Sequence[Kept]) -> Figure:
     """u_h as a surface, σ_h as arrows, |σ_h| in colour."""
     arrays = runs[0].solution()
     points, cells, u, sigma = (arrays[key] for key in ("points", "cells", "u", "sigma"))
@@ -161,12 +132,10 @@ def draw_solution(runs: list[KeptRun]) -> Figure:
 
     magnitude = figure.add_subplot(1, 3, 3)
     magnitude.grid(visible=False)
-    norm = np.linalg.norm(sigma, axis=1)
-    top, above = float(np.quantile(norm, QUANTILE)), norm.max() > 1.2 * np.quantile(norm, QUANTILE)
-    image = magnitude.tripcolor(
-        triangulation, norm, cmap="viridis", rasterized=True, vmax=top if above else float(norm.max())
-    )
-    figure.colorbar(image, ax=magnitude, extend="max" if above else "neither")
+    norm, (a, b) = np.linalg.norm(sigma, axis=1), np.moveaxis(points[cells[:, 1:]] - points[cells[:, :1]], 1, 0)
+    bottom, top, beyond = limits(norm, np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    image = magnitude.tripcolor(triangulation, norm, cmap="viridis", rasterized=True, vmin=bottom, vmax=top)
+    figure.colorbar(image, ax=magnitude, extend=beyond)
     magnitude.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=r"(c) $|\sigma_h|$")
     return figure
 
@@ -174,7 +143,7 @@ def draw_solution(runs: list[KeptRun]) -> Figure:
 TRACES = {"u": ("$u_h$", "C0"), "flux": (r"$\sigma_h\cdot n$", "C3"), "p": ("$p_h$", "C2")}
 
 
-def draw_traces(runs: list[KeptRun]) -> Figure:
+def draw_traces(runs: Sequence[Kept]) -> Figure:
     """u_h, σ_h·n and p_h along Γ_S: one row per part, one column per quantity."""
     arrays = runs[0].solution()
     names = arrays["about"]["part_names"]
@@ -189,9 +158,9 @@ def draw_traces(runs: list[KeptRun]) -> Figure:
     return figure
 
 
-def draw_penalty_traces(runs: list[KeptRun]) -> Figure:
+def draw_penalty_traces(runs: Sequence[Kept]) -> Figure:
     """u_εh, σ_εh·n and p_εh together: one row per ε, one column per part of Γ_S."""
-    solutions = [(run.parameters["solve.eps"], run.solution()) for run in runs]
+    solutions = [(run.numbers["ε"], run.solution()) for run in runs]
     names = solutions[0][1]["about"]["part_names"]
     figure = Figure(figsize=(5.4 * len(names), 3.2 * len(solutions)), layout="constrained")
     panels = figure.subplots(len(solutions), len(names), squeeze=False)
@@ -228,7 +197,7 @@ def _trace(axes: Axes, arrays: dict[str, Any], part: int, key: str, color: str, 
     axes.plot(arrays["facet_along"][on], arrays[f"facet_{key}"][on], style, color=color, label=label)
 
 
-def draw_iterations(runs: list[KeptRun]) -> Figure:
+def draw_iterations(runs: Sequence[Kept]) -> Figure:
     """‖σ^(n+1) − σ^(n)‖_V and ‖u^(n+1) − u^(n)‖_Q, one panel per algorithm."""
     figure = Figure(figsize=(4.6 * len(runs), 3.4), layout="constrained")
     panels = figure.subplots(1, len(runs), squeeze=False)[0]
@@ -239,16 +208,16 @@ def draw_iterations(runs: list[KeptRun]) -> Figure:
             ("sigma_change", r"$\|\sigma^{(n+1)}-\sigma^{(n)}\|_V$", "o-"),
             ("u_change", r"$\|u^{(n+1)}-u^{(n)}\|_Q$", "s--"),
         ):
-            values = np.array([row[key] for row in rows])
+            values = np.array([row[key] for row in rows], dtype=float)
             axes.semilogy(n[values > 0], values[values > 0], style, label=label)  # a repeated set changes nothing
-        eps = rf", $\varepsilon = {power(run.parameters['solve.eps'])}$" if run.algorithm in ("alg3", "alg4") else ""
-        axes.set(xlabel="$n$", title=f"{_letter(number)} {SLIDES[run.algorithm]}{eps}")
+        eps = "".join(rf", $\varepsilon = {power(value)}$" for name, value in run.numbers.items() if name == "ε")
+        axes.set(xlabel="$n$", title=f"{_letter(number)} {run.algorithm}{eps}")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _legend_below(figure, panels[0])
     return figure
 
 
-def draw_errors(runs: list[KeptRun]) -> Figure:
+def draw_errors(runs: Sequence[Kept]) -> Figure:
     """Errors of σ, u and p of Algorithms 3 and 4: over h at fixed ε, and over ε at fixed h."""
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     series = {
@@ -257,19 +226,19 @@ def draw_errors(runs: list[KeptRun]) -> Figure:
         "p_Lambda": r"$\|p_{\mathrm{ref}}-p_h\|_\Lambda$",
     }
     panels = figure.subplots(1, 2)
-    for axes, over in zip(panels, ("h", "eps"), strict=True):
-        shown = [run for run in runs if json.loads((run.folder / "summary.json").read_text())["vary"] == over]
+    for axes, over in zip(panels, ("h", "ε"), strict=True):
+        shown = [run for run in runs if run.varies == over]
         base = 2.0 if over == "h" else 10.0
         for run, style in zip(shown, ("o-", "x--"), strict=True):
             rows = run.rows("convergence.csv")
             x = np.array([base ** -row["level"] for row in rows])
             for index, (key, label) in enumerate(series.items()):
                 values = [row[key] for row in rows]
-                axes.loglog(x, values, style, color=f"C{index}", label=f"{label}, {SLIDES[run.algorithm]}")
+                axes.loglog(x, values, style, color=f"C{index}", label=f"{label}, {run.algorithm}")
         guide = shown[0].rows("convergence.csv")[0]["sigma_V"] * 0.5
         axes.loglog(x, guide * x / x[0], "k:", linewidth=0.8, label="slope 1")
         axes.set_xscale("log", base=int(base))
-        eps, h = (power(shown[0].parameters[f"solve.{name}"]) for name in ("eps", "h"))
+        eps, h = (power(shown[0].numbers[name]) for name in ("ε", "h"))
         fixed = rf"\varepsilon = {eps}" if over == "h" else f"h = {h}"
         letter, name = ("a", "$h$") if over == "h" else ("b", r"$\varepsilon$")
         axes.set(xlabel=name, title=f"({letter}) fixed ${fixed}$")
@@ -277,7 +246,7 @@ def draw_errors(runs: list[KeptRun]) -> Figure:
     return figure
 
 
-DRAWN: dict[str, Callable[[list[KeptRun]], Figure]] = {
+DRAWN: dict[str, Callable[[Sequence[Kept]], Figure]] = {
     "region": draw_region,
     "solution": draw_solution,
     "traces": draw_traces,
@@ -299,69 +268,49 @@ COLUMNS = {
 }
 
 
-def table_rows(run: KeptRun, slides: dict[str, dict[str, float]]) -> list[list[str]]:
+def table_rows(run: Kept) -> list[list[str]]:
     """The lines of a table: our errors and orders, and those of the slides."""
-    lines = []
+    lines, before = [], dict[str, Any]()
     for row in run.rows("convergence.csv"):
-        theirs, before = slides.get(f"{row['level']:g}", {}), slides.get(f"{row['level'] - 1:g}", {})
-        values = row | {f"slides_{key}": value for key, value in theirs.items()}
-        for key in theirs.keys() & before.keys():
-            values[f"slides_{key}_order"] = math.log2(before[key] / theirs[key])
-        cells = [f"2^-{row['level']:g}"]
+        for key in ("slides_sigma_V", "slides_u_Q"):
+            row[f"{key}_order"] = math.log2(before[key] / row[key]) if before.get(key) and row[key] else None
+        before, cells = row, [f"2^-{row['level']:g}"]
         for key in list(COLUMNS)[1:]:
-            value = values.get(key, float("nan"))
-            cells.append("-" if np.isnan(value) else f"{value:.2f}" if key.endswith("order") else f"{value:.3g}")
+            value = row[key]
+            cells.append("-" if value is None else f"{value:.2f}" if key.endswith("order") else f"{value:.3g}")
         lines.append(cells)
     return lines
 
 
-def make(folder: Path, names: Sequence[str] | None = None) -> None:
-    """Draw the items of `reproduction.json`, or some of them, and the page that shows all of them."""
-    with mpl.rc_context(STYLE):
-        _make(folder, names)
-
-
-def _make(folder: Path, names: Sequence[str] | None) -> None:
-    reproduction = json.loads((folder / "reproduction.json").read_text(encoding="utf-8"))
-    sections = []
-    for name, item in reproduction["items"].items():
-        runs = read_runs(folder, item["runs"])
-        if item["draw"] == "table":
-            lines = table_rows(runs[0], item["slides"])
-            with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([["h", *list(COLUMNS)[1:]], *lines])  # each name once
-            shown = _html_table(lines)
-        else:
-            if names is None or name in names:
-                figure = DRAWN[item["draw"]](runs)
-                for suffix in ("png", "pdf"):
-                    figure.savefig(folder / f"{name}.{suffix}")
-            shown = f'<a href="{name}.pdf"><img src="{name}.png" alt="{html.escape(item["caption"])}"></a>'
-        sections.append(_section(name, item, shown, runs))
-    (folder / "index.html").write_text(_page(reproduction, sections), encoding="utf-8")
-
-
-def _html_table(lines: list[list[str]]) -> str:
+def table(lines: list[list[str]]) -> str:
+    """Lines of a table in HTML."""
     head = "".join(f"<th>{as_html(column)}</th>" for column in COLUMNS.values())
     body = "".join("<tr>" + "".join(f"<td>{as_html(cell)}</td>" for cell in line) + "</tr>" for line in lines)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _section(name: str, item: dict[str, Any], shown: str, runs: list[KeptRun]) -> str:
+def picture(name: str, caption: str) -> str:
+    """A figure in HTML."""
+    return f'<a href="{name}.pdf"><img src="{name}.png" alt="{html.escape(caption)}"></a>'
+
+
+def section(name: str, shown: str, caption: str, command: str, runs: Sequence[Kept]) -> str:
+    """A table or figure with its caption, its command and its time in HTML."""
     label = name.replace("table", "Table ").replace("figure", "Figure ")
-    caption = item["caption"] + (f" {settings(runs)}." if runs else "")
-    seconds = sum(run.seconds for run in runs)
-    count = f"{len(item['runs'])} run" + "s" * (len(item["runs"]) != 1)
+    caption += f" {settings(runs)}." if runs else ""
+    seconds = sum(run.record.seconds for run in runs)
+    count = f"{len(runs)} run" + "s" * (len(runs) != 1)
     return (
         f'<section id="{name}"><h2>{label}</h2>{shown}<p class="caption"><b>{label}.</b> {as_html(caption)}</p>'
-        f"<p><code>{html.escape(item['command'])}</code> · {count}, {seconds:.0f} s of one rank</p>"
+        f"<p><code>{html.escape(command)}</code> · {count}, {seconds:.0f} s of one rank</p>"
         "</section>"
     )
 
 
-def _page(reproduction: dict[str, Any], sections: list[str]) -> str:
-    versions = ", ".join(f"{key} {value}" for key, value in reproduction["versions"].items())
-    links = " ".join(f'<a href="#{name}">{name}</a>' for name in reproduction["items"])
+def page(remark: str, sections: dict[str, str]) -> str:
+    """The page with some sections, by name."""
+    used = ", ".join(f"{key} {value}" for key, value in versions().items())
+    links = " ".join(f'<a href="#{name}">{name}</a>' for name in sections)
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>The slides' tables and figures</title>
@@ -373,11 +322,7 @@ table {{ border-collapse: collapse; }}
 th, td {{ padding: 0.2rem 0.8rem; border-bottom: 1px solid #ddd; text-align: right; }}
 </style></head><body>
 <h1>The slides' tables and figures</h1>
-<p>{html.escape(reproduction["remark"])}</p><p>{html.escape(versions)}</p><nav>{links}</nav>
-{"".join(sections)}
+<p>{html.escape(remark)}</p><p>{html.escape(used)}</p><nav>{links}</nav>
+{"".join(sections.values())}
 </body></html>
 """
-
-
-if __name__ == "__main__":
-    make(Path(sys.argv[1] if len(sys.argv) > 1 else "results/reproduction"))

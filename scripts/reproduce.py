@@ -3,28 +3,31 @@
 Usage: [mpirun -n N] python scripts/reproduce.py [--quick] [--output FOLDER] ITEM...
 
 ITEM is table1 … table6, figure1 … figure22 or all. Each is a selection of the runs of a study in `data/studies/`. Runs
-that several items share, or that an earlier call has finished, are done once. `--quick` uses coarse meshes.
-`scripts/figures.py` alone can draw the results again, including `results/reproduction/index.html`.
+that several items share, or that an earlier call has finished, are done once: the same call again only draws.
+`index.html` shows all that there is. `--quick` uses coarse meshes.
 """
 
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
 import argparse
+import csv
 import itertools
-import json
 import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import figures
+import matplotlib as mpl
 from mpi4py import MPI
 
-import signorini_fenicsx  # noqa: F401 - orders MPI before DOLFINx
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import abort_all_on_exception, on_root
-from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cli.study_report import Progress, StudyReport
-from signorini_fenicsx.comparing.convergence import Vary, slides_errors
-from signorini_fenicsx.studies.folder import StudyFolder
+from signorini_fenicsx.comparing.convergence import Vary
+from signorini_fenicsx.pictures.style import STYLE
+from signorini_fenicsx.studies.folder import Status, StudyFolder
 from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
 from signorini_fenicsx.studies.study import Convergence, Run, load_study, make_run
 
@@ -116,42 +119,32 @@ def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quic
         if runs:
             run_study(runs, 1, folder, comm, title="The tables and figures of the slides", on_run=progress.say)
             check_all_succeeded(runs, folder, comm)
-        on_root(comm, lambda: draw(wanted, runs_by_item, folder, quick=quick))
+        on_root(comm, lambda: draw(wanted, folder, quick=quick))
 
 
-def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], study: StudyFolder, *, quick: bool) -> None:
-    """Write `reproduction.json`, which lists the runs, draw the wanted figures, and tables for LaTeX (rank 0)."""
-    import figures
-
-    option, folder = " --quick" if quick else "", study.path
-    path = folder / "reproduction.json"
-    earlier = json.loads(path.read_text(encoding="utf-8"))["items"] if path.exists() else {}
-    new = {
-        name: {
-            "draw": item.draw,
-            "caption": item.caption,
-            "command": f"python scripts/reproduce.py{option} {name}",
-            "runs": [run.name for run in runs[name]],
-            "slides": _slides(item) if item.draw == "table" else {},
-        }
-        for name, item in wanted.items()
-    }
-    shown = earlier | new
-    about = {
-        "remark": "A quick pass on coarse meshes." if quick else "The meshes of the slides.",
-        "versions": versions(),
-        "items": {name: shown[name] for name in items() if name in shown},
-    }
-    path.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
-    figures.make(folder, list(new))
-    for name in [name for name, item in wanted.items() if item.draw == "table"]:
-        shutil.copyfile(study.place(runs[name][0]) / "convergence.tex", folder / f"{name}.tex")
-
-
-def _slides(item: Item) -> dict[str, dict[str, float]]:
-    """The errors of the slides per level, as printed there."""
-    errors = slides_errors(str(item.where["case"]), str(item.where["solve.algorithm"]))
-    return {str(level): {"sigma_V": sigma, "u_Q": u} for level, (sigma, u) in errors.items()}
+def draw(wanted: dict[str, Item], study: StudyFolder, *, quick: bool) -> None:
+    """Draw what is wanted, and write the page with all that was ever drawn here (rank 0)."""
+    option, sections, folder = " --quick" if quick else "", {}, study.path
+    for name, item in items().items():
+        runs, is_drawn = runs_of(item, quick=quick), any(folder.glob(f"{name}.*"))
+        if name not in wanted and not (is_drawn and all(study.status(run) is Status.DONE for run in runs)):
+            continue
+        kept = [figures.Kept(run, study.place(run), study.record(run)) for run in runs]
+        shown = figures.picture(name, item.caption)
+        if item.draw == "table":
+            shown = figures.table(lines := figures.table_rows(kept[0]))
+            with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerows([["h", *list(figures.COLUMNS)[1:]], *lines])
+            shutil.copyfile(kept[0].folder / "convergence.tex", folder / f"{name}.tex")
+        elif name in wanted:
+            with mpl.rc_context(STYLE):
+                figure = figures.DRAWN[item.draw](kept)
+                for suffix in ("png", "pdf"):
+                    figure.savefig(folder / f"{name}.{suffix}")
+        command = f"python scripts/reproduce.py{option} {name}"
+        sections[name] = figures.section(name, shown, item.caption, command, kept)
+    remark = "A quick pass on coarse meshes." if quick else "The meshes of the slides."
+    (folder / "index.html").write_text(figures.page(remark, sections), encoding="utf-8")
 
 
 def main() -> int:
