@@ -80,11 +80,17 @@ def by_finite_volumes(
     return psi, float((theta - began).sum() * dz)
 
 
-def test_celias_infiltration():
-    """Infiltration into dry soil has the front and the water of a finer solution in one dimension; no mass is lost."""
+def test_celias_infiltration(monkeypatch: pytest.MonkeyPatch):
+    """Infiltration into dry soil has the front and the water of a finer solution in one dimension; no mass is lost.
+
+    What is stored is looked at some 20 times for each linear problem: no step is halved for rounding.
+    """
+    looks, content = [], Soil.content
+    monkeypatch.setattr(Soil, "content", lambda *given: looks.append(1) or content(*given))
     conditions = [Neumann(["left", "right"], 0), Dirichlet("top", 100 - 75), Dirichlet("bottom", -1000)]
     problem = Diffusion(kappa=CELIA, f=0, conditions=conditions)
     steps = list(evolve(column(20, 100), problem, Evolution(end=21600, steps=6, initial="y - 1000")))
+    assert len(looks) < 3000
     psi, taken = by_finite_volumes(CELIA, 100, 100, 24, 21600, first=-1000, top=-75, bottom=-1000)
     assert max(step.numbers["mass_error"] for step in steps) < 1e-11
     assert max(step.numbers["content_change"] for step in steps) < 1e-11

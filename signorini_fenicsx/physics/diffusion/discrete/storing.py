@@ -110,17 +110,18 @@ class Storing:
         value, slope = left(u)
         for _ in range(STEPS):
             step, size = -np.linalg.solve(slope, value[:, :, None])[:, :, 0], np.linalg.norm(value, axis=1)
-            share = np.ones((len(u), 1))
+            share, rounding = np.ones((len(u), 1)), CLOSE * (np.abs(u) + np.abs(means))
             for _ in range(HALVINGS):
                 found = left(u + share * step)
                 rises = np.linalg.norm(found[0], axis=1) > (1 - FALLS * share[:, 0]) * size
+                rises &= (np.abs(share * step) > rounding).any(axis=1)
                 if not rises.any():
                     break
                 share[rises] /= 2
             share[rises] = 0.0
             moved, u = np.abs(share * step), u + share * step
             value, slope = left(u)
-            if (moved <= CLOSE * (np.abs(u) + np.abs(means))).all():
+            if (moved <= rounding).all():
                 break
         theta, rise = self.content(u)
         return self.rate * rise, self.rate * (rise * u - theta)
