@@ -17,8 +17,8 @@ from signorini_fenicsx.contact.chains import Chains, SiteConditions
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """The solution of one linear problem, as the rules see it.
+class SitePairs:
+    """The pairs (p, σ·n) at the sites in the solution of one linear problem: what the rules see of it.
 
     Attributes:
         p: Trace above its bound, p − ψ, per owned site; for other laws, measured from its reference.
@@ -32,7 +32,7 @@ class Pairs:
 
 
 @dataclass(frozen=True)
-class Iterate(Pairs):
+class Iterate(SitePairs):
     """Solution of one linear mixed problem. Functions have up-to-date ghost values.
 
     Attributes:
@@ -58,10 +58,10 @@ class Inexact(Protocol):
 
         Args:
             conditions: Conditions on the sites.
-            enough: Called on all ranks after each iteration, with `Pairs.p` and `Pairs.flux` of the current iterate.
+            enough: Called on all ranks after each iteration, with p and the flux at the sites of the current iterate.
 
         Returns:
-            `Pairs.p` and `Pairs.flux` of the last iterate.
+            `SitePairs.p` and `SitePairs.flux` of the last iterate.
 
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
@@ -88,12 +88,12 @@ class Inexact(Protocol):
             share: Such solves are worth their cost up to this share of all unknowns.
 
         Returns:
-            A function from conditions to `Pairs.p` and `Pairs.flux` (collective; raises LinearSolveFailure if a
+            A function from conditions to `SitePairs.p` and `SitePairs.flux` (collective; raises LinearSolveFailure if a
             factorisation fails); None if it would have more unknowns than `share` allows.
         """
 
 
-class Anchored[I: Pairs](Protocol):
+class Anchored[I: SitePairs](Protocol):
     """What a backend gives beyond `Backend` if under some sets its problem has no solution, or many: weak springs.
 
     Attributes:
@@ -118,7 +118,7 @@ class Anchored[I: Pairs](Protocol):
         """Solve as `Backend.solve`, with any p on ZERO_TRACE sites (collective)."""
 
 
-class Backend[I: Pairs](Protocol):
+class Backend[I: SitePairs](Protocol):
     """A linear problem with conditions on sites, set up once. Each rank numbers the sites that it owns, possibly none.
 
     Attributes:
@@ -234,7 +234,7 @@ class DataBackend(PlainBackend):
 
 
 @runtime_checkable
-class Renewable[I: Pairs](Backend[I], Protocol):
+class Renewable[I: SitePairs](Backend[I], Protocol):
     """A backend that is set up once and then takes the data of one problem after another on its mesh."""
 
     def renew(self, data: Any) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.contact.backend import Pairs
+from signorini_fenicsx.contact.backend import SitePairs
 from signorini_fenicsx.contact.chains import Chains
 
 GROUND = 0
@@ -34,7 +34,7 @@ class Floating:
     across: Indices
     measure: Array
 
-    def held(self, law: Chains, segment: Indices, iterate: Pairs, comm: MPI.Comm) -> Indices:
+    def held(self, law: Chains, segment: Indices, iterate: SitePairs, comm: MPI.Comm) -> Indices:
         """The segments, changed where they leave a component without hold (collective).
 
         u is moved up or down there until one site is at a corner. The total flux says whether up or down.

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.signals import LoopInterruption
-from signorini_fenicsx.contact.backend import Iterate, Pairs
+from signorini_fenicsx.contact.backend import Iterate, SitePairs
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.residuals import Residuals
 
@@ -59,7 +59,7 @@ class FoundSets(Protocol):
     """Sets that were found with their solution, an `Outcome` or its traces alone."""
 
     @property
-    def iterate(self) -> Pairs:
+    def iterate(self) -> SitePairs:
         """The solution."""
 
     @property

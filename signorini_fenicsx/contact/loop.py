@@ -40,7 +40,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import LinearSolveFailure, NumericalFailure
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.contact.backend import Anchored, Backend, Pairs
+from signorini_fenicsx.contact.backend import Anchored, Backend, SitePairs
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import History, OnStep, Outcome
@@ -52,7 +52,7 @@ HALVINGS = 20
 """So often a step is halved at most; then the fall is rounding."""
 
 
-class Descent[I: Pairs]:
+class Descent[I: SitePairs]:
     """The way down from all sites in contact.
 
     Attributes:
@@ -146,7 +146,7 @@ class Parameters:
     floating: Floating | None = None
 
 
-def iterate_sets[I: Pairs](
+def iterate_sets[I: SitePairs](
     backend: Backend[I],
     rule: SetRule,
     parameters: Parameters,
@@ -221,7 +221,7 @@ def iterate_sets[I: Pairs](
         conditions = safeguard.allowed(conditions, wanted, iterate)
 
 
-def _wanted[I: Pairs](
+def _wanted[I: SitePairs](
     backend: Backend[I],
     rule: SetRule,
     parameters: Parameters,
@@ -242,13 +242,13 @@ def _wanted[I: Pairs](
     return law.conditions(following)
 
 
-def _clipped[I: Pairs](backend: Backend[I], iterate: I, where: Mask) -> tuple[I, int]:
+def _clipped[I: SitePairs](backend: Backend[I], iterate: I, where: Mask) -> tuple[I, int]:
     """The iterate without the flux of these sites, and their number over all ranks (collective)."""
     number = backend.comm.allreduce(int(np.count_nonzero(where)))
     return (backend.without_flux(iterate, where) if number > 0 else iterate), number
 
 
-def settled_change[I: Pairs](backend: Backend[I], start: SiteConditions, biactive: int, given: int | None) -> I:
+def settled_change[I: SitePairs](backend: Backend[I], start: SiteConditions, biactive: int, given: int | None) -> I:
     """The change of a solution: one solve, or where biactive sites choose between two rays Algorithm 1 (collective).
 
     Args:
@@ -270,7 +270,7 @@ def settled_change[I: Pairs](backend: Backend[I], start: SiteConditions, biactiv
 
 
 @dataclass
-class _Safeguard[I: Pairs]:
+class _Safeguard[I: SitePairs]:
     """What notices cycles and ends them, see the module.
 
     Attributes:

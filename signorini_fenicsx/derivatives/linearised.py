@@ -21,7 +21,7 @@ from ufl import Form
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.contact.backend import Backend, Pairs, PlainBackend
+from signorini_fenicsx.contact.backend import Backend, PlainBackend, SitePairs
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.loop import settled_change
 from signorini_fenicsx.discrete.datum import DEGREES, Datum
@@ -286,16 +286,16 @@ class TangentProblem(PlainBackend):
         self.solver, self.places = backend.solver, backend.places
         self.chains, self._solve, self.found = chains, solve, None
 
-    def solve(self, conditions: SiteConditions) -> Pairs:
+    def solve(self, conditions: SiteConditions) -> SitePairs:
         """Solve as `Backend.solve` says (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
         p, flux, self.found = self._solve(conditions)
-        return Pairs(p=p, flux=flux, linear_iterations=1)
+        return SitePairs(p=p, flux=flux, linear_iterations=1)
 
-    def scales(self, iterate: Pairs) -> tuple[Array, Array]:
+    def scales(self, iterate: SitePairs) -> tuple[Array, Array]:
         """The largest of both over all sites, see `Backend.scales` (collective)."""
         of_p, of_flux = (
             np.full(self.sites, self.comm.allreduce(np.abs(each).max(initial=0.0), MPI.MAX))
@@ -303,7 +303,7 @@ class TangentProblem(PlainBackend):
         )
         return of_p, of_flux
 
-    def change(self, iterate: Pairs, before: Pairs) -> tuple[float, float]:
+    def change(self, iterate: SitePairs, before: SitePairs) -> tuple[float, float]:
         """Norms of what changed at the sites (collective)."""
         squares = [((one - other) ** 2).sum() for one, other in ((iterate.flux, before.flux), (iterate.p, before.p))]
         of_flux, of_p = np.sqrt(self.comm.allreduce(np.array(squares))).tolist()

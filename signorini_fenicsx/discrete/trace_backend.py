@@ -86,7 +86,7 @@ class TraceBackend(DataBackend):
         self._first, *_ = sites
         self.sites, self._unknowns, self.measure = len(sites), sites.unknown, sites.measure
         self._traces = slice(0, len(sites.unknown))  # sites in cells have no unknown
-        self._shares, self._signs = sites.measure[self._traces], sites.sign[self._traces]
+        self._trace_measures, self._signs = sites.measure[self._traces], sites.sign[self._traces]
         self._operator = operator = ConstrainedMatrix(system.matrix, PETSc.Mat.Option.SPD)
         self.dofs: int = operator.matrix.getSize()[0]
         self._solver, self._near, self._pressing = choose(operator), *near
@@ -96,7 +96,7 @@ class TraceBackend(DataBackend):
         self._x.set(0.0)
         self._last: Posed | None = None
         self._state, self._iterations = State.START, 0
-        self.stiffness = system.matrix.getDiagonal().array_r[self._unknowns] / self._shares
+        self.stiffness = system.matrix.getDiagonal().array_r[self._unknowns] / self._trace_measures
 
     @abstractmethod
     def _take(self, data: Any) -> None:
@@ -133,7 +133,7 @@ class TraceBackend(DataBackend):
         """The iterate from σ and u as the system recovers them (collective)."""
 
     def cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
-        """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
+        """`SitePairs.p` and `SitePairs.flux` from the means and the flux at the sites."""
         p = p.copy()
         for kind, laws in self.with_laws:
             if laws.chains.plain:  # there p' is p
@@ -168,7 +168,7 @@ class TraceBackend(DataBackend):
         flux = np.where(posed.conditions.kind == Condition.NO_FLUX, posed.conditions.value, 0.0)
         for kind, springs in posed.springs:
             kind.of(flux)[:] += springs.pressure(kind.of(np.broadcast_to(p, flux.shape)))
-        return np.asarray(self._signs * self._shares * flux)
+        return np.asarray(self._signs * self._trace_measures * flux)
 
     def openings(self, x: PETSc.Vec) -> Array:
         """The means of p at the sites."""
@@ -230,19 +230,19 @@ class TraceBackend(DataBackend):
             load, given = self._loads(posed)
             if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
                 p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
-                return self.cleaned(conditions, self._signs * p, self._signs * forces / self._shares)
+                return self.cleaned(conditions, self._signs * p, self._signs * forces / self._trace_measures)
 
         def is_enough(x: PETSc.Vec) -> bool:
             if not conditions.has_values:
-                return enough(*self._pairs(x, conditions))
+                return enough(*self._site_pairs(x, conditions))
             whole = x + self._held
-            pairs = self._pairs(whole, conditions)
+            pairs = self._site_pairs(whole, conditions)
             whole.destroy()  # on several ranks it would wait for the next `PETSc.garbage_cleanup`
             return enough(*pairs)
 
         with self._solver.stopping(is_enough):
             self._solve(conditions)
-        return self._pairs(self._x, conditions)
+        return self._site_pairs(self._x, conditions)
 
     def reached(self, conditions: SiteConditions) -> Iterate | None:
         """The iterate of the last solve, see `Inexact.reached`; no refinement, as other sets follow (collective)."""
@@ -262,7 +262,7 @@ class TraceBackend(DataBackend):
             self._x.axpy(-1.0, self._held)
             self._factors.solve_on(patch, load, self._x, posed.imposed)
             self._x.axpy(1.0, self._held)
-            return self._pairs(self._x, conditions)
+            return self._site_pairs(self._x, conditions)
 
         return None if patch.size > share * self.dofs else solve_on_patch
 
@@ -270,13 +270,13 @@ class TraceBackend(DataBackend):
         """The owned unknowns of these sites; None where sites are in cells."""
         return self._unknowns[sites].astype(np.int32) if self.by_traces else None
 
-    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
-        """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
+    def _site_pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
+        """`SitePairs.p` and `SitePairs.flux`, the latter as what is left of the rows of the sites (collective)."""
         return self.cleaned(conditions, self.openings(x), self.flux(x, self.system.load))
 
     def flux(self, x: PETSc.Vec, load: Array) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
-        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self._shares)
+        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self._trace_measures)
 
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
@@ -350,7 +350,7 @@ class TraceBackend(DataBackend):
         posed = self._last if self._is_last(conditions) else self.posed(conditions, held=True)
         assert posed is not None
         if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
-            return np.asarray(self._signs * traces[1] / self._shares)
+            return np.asarray(self._signs * traces[1] / self._trace_measures)
         return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
     def recovered(self, conditions: SiteConditions, *, refine: bool) -> Iterate:

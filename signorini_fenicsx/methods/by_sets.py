@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure, NumericalFailure
-from signorini_fenicsx.contact.backend import Iterate, Pairs
+from signorini_fenicsx.contact.backend import Iterate, SitePairs
 from signorini_fenicsx.contact.chains import Chains, SiteConditions
 from signorini_fenicsx.contact.history import History, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
@@ -136,7 +136,9 @@ class _Sets:
         self._segment = self._law.segments(settled.conditions)
         return settled
 
-    def _loop(self, segment: Indices | None = None, follow: Callable[[Pairs], bool] = lambda iterate: False) -> Outcome:
+    def _loop(
+        self, segment: Indices | None = None, follow: Callable[[SitePairs], bool] = lambda iterate: False
+    ) -> Outcome:
         """Run the loop, see `methods.task.Loop` (collective)."""
         self._segment = self._segment if segment is None else segment
         outcome = iterate_sets(

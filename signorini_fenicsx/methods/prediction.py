@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate, Pairs
+from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate, SitePairs
 from signorini_fenicsx.contact.chains import Chains, SiteConditions
 from signorini_fenicsx.contact.history import History
 from signorini_fenicsx.contact.set_rules import Present, SetRule
@@ -110,9 +110,9 @@ class Settled:
     before: Iterate | None
 
     @cached_property
-    def iterate(self) -> Pairs:
+    def iterate(self) -> SitePairs:
         """The traces under these sets (collective when first used)."""
-        return Pairs(*self.prediction.inexact.solve_until(self.conditions, lambda *_: False), 0)
+        return SitePairs(*self.prediction.inexact.solve_until(self.conditions, lambda *_: False), 0)
 
     @cached_property
     def converged(self) -> bool:

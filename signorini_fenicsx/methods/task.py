@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import BackendFactory, Iterate, Pairs
+from signorini_fenicsx.contact.backend import BackendFactory, Iterate, SitePairs
 from signorini_fenicsx.contact.chains import Penalty, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import FoundSets, OnStep, Outcome
@@ -18,7 +18,7 @@ from signorini_fenicsx.contact.residuals import Residuals
 class Loop(Protocol):
     """The loop over the sets, from those of the last time under the present laws of the backend."""
 
-    def __call__(self, segment: Indices | None = None, follow: Callable[[Pairs], bool] = ...) -> Outcome:
+    def __call__(self, segment: Indices | None = None, follow: Callable[[SitePairs], bool] = ...) -> Outcome:
         """Run it (collective).
 
         Args:

@@ -37,7 +37,7 @@ class FluxBackend(TraceBackend):
         super().__init__(system, spaces, fixed, near, choose)
         self._cells = spaces.site_kinds["cell"]
         if not data.inside:
-            self.sites, self.measure = len(self._unknowns), self._shares
+            self.sites, self.measure = len(self._unknowns), self._trace_measures
 
     @property
     def by_traces(self) -> bool:
@@ -88,8 +88,8 @@ class FluxBackend(TraceBackend):
 
     def off_laws(self, conditions: SiteConditions) -> Array:
         """How far the sites are off their laws, as a p, where x need not be a solution (collective)."""
-        p, flux = self._pairs(self._x, conditions)
-        unit = self.natural.getDiagonal().array_r[self._unknowns] / self._shares
+        p, flux = self._site_pairs(self._x, conditions)
+        unit = self.natural.getDiagonal().array_r[self._unknowns] / self._trace_measures
         if not self.by_traces:
             moments = mean_moments(self.spaces, self.data)
             unit = np.append(unit, 1 / np.repeat(moments, len(self._cells) // len(moments)))
@@ -109,12 +109,12 @@ class FluxBackend(TraceBackend):
         cells = self._cells.of(conditions)
         return super()._is_last(conditions) and (self.by_traces or cells.same(self._in_cells, self.comm))
 
-    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
-        """See `TraceBackend._pairs`; those of cells with laws follow (collective)."""
+    def _site_pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
+        """See `TraceBackend._site_pairs`; those of cells with laws follow (collective)."""
         return self._with_cells(x, conditions, self.flux(x, self.system.load))
 
     def _with_cells(self, x: PETSc.Vec, conditions: SiteConditions, flux: Array) -> tuple[Array, Array]:
-        """`Pairs.p` and `Pairs.flux` with this flux on Γ_S; those of cells with laws follow (collective)."""
+        """`SitePairs.p` and `SitePairs.flux` with this flux on Γ_S; those of cells with laws follow (collective)."""
         p = self.openings(x)
         if not self.by_traces:
             of_p, of_flux = self.system.in_cells(x)

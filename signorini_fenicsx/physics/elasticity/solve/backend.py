@@ -154,7 +154,7 @@ class ElasticBackend(TraceBackend):
             self.leave(ROUGH)
             self._solve(conditions)
             self.leave(0.0)
-            return self._pairs(self._x, conditions)
+            return self._site_pairs(self._x, conditions)
         return super().solve_until(conditions, enough)
 
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
@@ -165,7 +165,7 @@ class ElasticBackend(TraceBackend):
         return np.asarray(self._signs * (x.array_r[self._unknowns] - self.tools.at_sites))
 
     def cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
-        """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
+        """`SitePairs.p` and `SitePairs.flux` from the means and the flux at the sites."""
         p, flux = super().cleaned(conditions, p, flux)
         slip = self._slip
         slip.of(flux)[:] += self.friction.pressed(flux[slip.pressing]) - self.friction.resisted(slip.of(p))

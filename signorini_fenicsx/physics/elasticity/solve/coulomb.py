@@ -31,7 +31,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import in_digits
-from signorini_fenicsx.contact.backend import Pairs
+from signorini_fenicsx.contact.backend import SitePairs
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.history import FoundSets, Outcome
 from signorini_fenicsx.linear.gmres import EXACT, gmres
@@ -232,7 +232,7 @@ def balanced[S: FoundSets](
             backend.friction = accepted.moved(share * step)
 
 
-def pressure(backend: ElasticBackend, pairs: Pairs) -> Array:
+def pressure(backend: ElasticBackend, pairs: SitePairs) -> Array:
     """The pressure at the vertices with friction, shape (facets, d), 0 where it is rounding."""
     return backend.spaces.pressure_of(np.where(np.abs(pairs.flux) > backend.sizes.rounding, pairs.flux, 0.0))
 

@@ -26,7 +26,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.contact.backend import Pairs
+from signorini_fenicsx.contact.backend import SitePairs
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.elasticity.discrete.friction import STICKS, FrictionBounds, Slipping
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
@@ -54,7 +54,7 @@ OFF = "; σ_t is still off Coulomb's law by {:.1e} of the largest bound"
 
 
 def slipped(
-    backend: ElasticBackend, contact: Callable[[Callable[[Pairs], bool]], Outcome], changes: list[float], most: int
+    backend: ElasticBackend, contact: Callable[[Callable[[SitePairs], bool]], Outcome], changes: list[float], most: int
 ) -> Outcome:
     """Find contact, where the vertices slip and along which directions, and Coulomb's bounds (collective).
 
@@ -75,7 +75,7 @@ def slipped(
     backend.leave(share)
 
     @np.errstate(over="ignore", invalid="ignore")  # where nothing holds a tool; the next matrix is singular then
-    def follow(iterate: Pairs) -> bool:
+    def follow(iterate: SitePairs) -> bool:
         nonlocal share, last, known, base
         friction = backend.friction
         slip, shear = map(backend.spaces.site_kinds["slip"].rows_of, (iterate.p, iterate.flux))
@@ -153,7 +153,7 @@ def _stiffness(backend: ElasticBackend) -> Array:
     return np.asarray(backend.spaces.site_kinds["slip"].rows_of(backend.stiffness).mean(axis=2))
 
 
-def _off(backend: ElasticBackend, friction: FrictionBounds, iterate: Pairs) -> tuple[list[float], float]:
+def _off(backend: ElasticBackend, friction: FrictionBounds, iterate: SitePairs) -> tuple[list[float], float]:
     """How far u_t and σ_t are off the law with these bounds, opening and pressure off theirs; the largest g.
 
     Collective.

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.contact.backend import Iterate, Pairs, PlainBackend
+from signorini_fenicsx.contact.backend import Iterate, PlainBackend, SitePairs
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
@@ -22,7 +22,7 @@ piecewise linear problem."""
 
 
 @dataclass(frozen=True)
-class VertexPairs(Pairs):
+class VertexPairs(SitePairs):
     """u_i − ψ and λ_i − q_S at the vertices of Γ_S.
 
     Attributes:
