@@ -13,7 +13,7 @@ from sphinx.writers.html5 import HTML5Translator
 import signorini_fenicsx
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-import notebooks
+import pages
 
 project = "signorini_fenicsx"
 author = "The signorini_fenicsx developers"
@@ -80,7 +80,7 @@ def link_to_notebook(app: Sphinx, name: str, source: list[str]) -> None:
 def write_notebooks(app: Sphinx, failure: Exception | None) -> None:
     """The notebooks of the tutorials, beside the pages."""
     if failure is None and app.builder.format == "html":
-        notebooks.make(Path(app.outdir) / "notebooks")
+        pages.notebooks(Path(app.outdir) / "notebooks")
 
 
 def setup(app: Sphinx) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 import typer
-from atlas import line, read_atlas, rerun
 from commands import signorini
+from pages import line, read_atlas, rerun
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cli.app import app

@@ -5,11 +5,11 @@ import inspect
 import json
 import re
 import shlex
-import sys
 from pathlib import Path
 from typing import Any
 
 import measure
+import pages
 import pytest
 import random_runs
 import typer
@@ -82,7 +82,7 @@ def test_scripts_that_pages_name():
     found = re.compile(r"scripts/(\w+)\.py(?: ([a-zA-Z][\w-]*))?")
     named = {pair for page in PAGES for pair in found.findall(page.read_text("utf-8"))}
     assert [name for name, _ in named if not (ROOT / "scripts" / f"{name}.py").is_file()] == []
-    known = {"measure": measure.MODULES, "random_runs": random_runs.KINDS}
+    known = {"measure": measure.MODULES, "pages": pages.COMMANDS, "random_runs": random_runs.KINDS}
     assert [(name, what) for name, what in named if what and what not in known.get(name, (what,))] == []
 
 
@@ -151,10 +151,7 @@ def test_modules_that_docstrings_name():
 
 def test_notebooks(tmp_path: Path):
     """Each tutorial is a notebook with all its code, as Jupyter's format wants it; the documentation runs the code."""
-    sys.path.insert(0, str(ROOT / "scripts"))
-    import notebooks
-
-    for path in notebooks.make(tmp_path):
+    for path in pages.notebooks(tmp_path):
         page = (ROOT / "docs" / "tutorials" / f"{path.stem}.md").read_text("utf-8")
         cells = json.loads(path.read_text("utf-8"))["cells"]
         codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
