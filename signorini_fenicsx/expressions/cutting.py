@@ -123,39 +123,67 @@ def in_parts(
         vertices: Those of the simplices.
         frame: The domain.
         look: Gives what is known of parts from the remainder of each expression there, shape (parts, columns).
-        need: Gives from this how much each part needs to be cut.
+        need: As in `cut_as_needed`.
         sizes: Gives sizes > 0 in points, see `_by_sizes`.
         rough: Whether series may be rough; False if `look` needs gradients.
     """
 
     def looked(parts: Parts) -> tuple[Array, Array]:
-        seen, cuts = [], []
-        for begin in range(0, max(len(parts.own), 1), CHUNK):
-            some = parts.take(slice(begin, begin + CHUNK))
-            regions = Regions.of_simplices(some.vertices, frame.scale)
-            series, switch = expanded(trees, regions, rough=rough)
-            whole = slice(None), np.ones_like(regions.half)
-            seen.append(look(some, *(Remainder.of(each, regions.half, *whole) for each in series)))
-            cuts.append(_cuts(some, regions, switch, sizes))
-        return np.concatenate(seen), np.concatenate(cuts)
+        regions = Regions.of_simplices(parts.vertices, frame.scale)
+        series, switch = expanded(trees, regions, rough=rough)
+        whole = slice(None), np.ones_like(regions.half)
+        seen = look(parts, *(Remainder.of(each, regions.half, *whole) for each in series))
+        return seen, _cuts(parts, regions, switch, sizes)
+
+    return cut_as_needed(vertices, looked, need, MOST + MOST_EACH * frame.simplices, frame.comm)
+
+
+def cut_as_needed(
+    vertices: Array,
+    looked: Callable[[Parts], tuple[Array, Array]],
+    need: Callable[[Parts, Array], Array],
+    room: int,
+    comm: MPI.Comm,
+) -> tuple[Parts, Array]:
+    """Cut simplices into parts until the needs of all parts together are at most 1 (collective).
+
+    Args:
+        vertices: Those of the simplices.
+        looked: Gives what is known of some parts, shape (parts, columns), and their cuts, see `halving`.
+        need: Gives from what is known how much each part needs to be cut; NaN counts as ∞.
+        room: Largest number of parts that are looked at, on all ranks.
+        comm: Communicator.
+    """
+
+    def look(parts: Parts) -> tuple[Array, ...]:
+        begins = range(0, max(len(parts.own), 1), CHUNK)
+        chunks = [looked(parts.take(slice(begin, begin + CHUNK))) for begin in begins]
+        return tuple(np.concatenate(each) for each in zip(*chunks, strict=True))
 
     parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
-    of_parts, cuts = looked(parts)
-    left = MOST + MOST_EACH * frame.simplices - frame.comm.allreduce(len(vertices))
+    of_parts, cuts = look(parts)
+    left = room - comm.allreduce(len(vertices))
     while True:
         needs = np.where(parts.share > FINEST, need(parts, of_parts), 0.0)
-        total, number = frame.comm.allreduce(np.array([needs.sum(), len(needs)])).tolist()
+        needs[np.isnan(needs)] = np.inf
+        total, number = comm.allreduce(np.array([needs.sum(), len(needs)])).tolist()
         if not total > 1:
             return parts, of_parts
-        chosen = _worst(needs, (total if np.isfinite(total) else 1.0) / (2 * number), left // 2, frame.comm)
-        if not frame.comm.allreduce(np.count_nonzero(chosen)):
+        chosen = _worst(needs, (total if np.isfinite(total) else 1.0) / (2 * number), left // 2, comm)
+        if not comm.allreduce(np.count_nonzero(chosen)):
             return parts, of_parts
         first, second = cuts[chosen, :2].astype(np.int64).T
         halves = parts.take(chosen).cut(first, second, cuts[chosen, 2])
-        left -= frame.comm.allreduce(len(halves.own))
+        left -= comm.allreduce(len(halves.own))
         parts = parts.take(~chosen).and_(halves)
-        new = looked(halves)
-        of_parts, cuts = (np.concatenate([old[~chosen], more]) for old, more in zip((of_parts, cuts), new, strict=True))
+        of_parts, cuts = (
+            np.concatenate([old[~chosen], new]) for old, new in zip((of_parts, cuts), look(halves), strict=True)
+        )
+
+
+def halving(parts: Parts) -> Array:
+    """Cuts through the middle of the longest edges: the numbers of their vertices, and the share of it at the first."""
+    return np.column_stack([*parts.longest(), np.full(len(parts.own), 0.5)])
 
 
 def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:

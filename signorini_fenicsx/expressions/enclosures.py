@@ -6,7 +6,6 @@ for ∇d. `taylor` gives ρ, on boxes and parts that `cutting` makes until the e
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -33,8 +32,6 @@ CLOSE = 0.3
 """An upper bound of ‖∇d‖² is good enough if it is too large by at most this share of itself."""
 BESIDE = 4.5
 """If e is within ρ of a quadratic, it is within so many times ρ of `interpolated`, whose Lebesgue constant is 3.5."""
-DIGITS = 12
-"""Points of reference simplices are the same in so many digits."""
 
 
 def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: int = DEGREE) -> Array:
@@ -112,8 +109,7 @@ def means(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, 
     number = len(vertices)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        x, rule = in_points(parts.vertices)
-        d = values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
+        _, rule, d = _left(tree, p, vertices, parts)
         rho, middle = 2 * remainder.distance(), d @ rule
         return np.stack([middle, rho, np.sqrt(d**2 @ rule) + rho], axis=1)
 
@@ -123,13 +119,16 @@ def means(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, 
         return np.where(np.isfinite(width), weight[parts.own] * width * of_simplex, np.inf)
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need)
-    share = parts.share[:, None] * np.column_stack([of_parts[:, 0], of_parts[:, 1], of_parts[:, 2] ** 2])
-    share[np.isnan(share)] = np.inf
-    middle, radius, square = (np.bincount(parts.own, column, number) for column in share.T)
+    middle, radius, square = parts.sums(np.column_stack([of_parts[:, :2], of_parts[:, 2] ** 2]), number)
     middle[~np.isfinite(middle)] = 0.0
-    return Means(
-        Interval(middle - radius, middle + radius), np.sqrt(square), _place(parts, share[:, 1], vertices), len(of_parts)
-    )
+    place = _place(parts, parts.share * of_parts[:, 1], vertices)
+    return Means(Interval(middle - radius, middle + radius), np.sqrt(square), place, len(of_parts))
+
+
+def _left(tree: Tree, p: Quadratic | Polynomial, vertices: Array, parts: Parts) -> tuple[Array, Array, Array]:
+    """Points of a quadrature in parts of simplices, its weights, and d there."""
+    x, rule = in_points(parts.vertices)
+    return x, rule, values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
 
 
 @dataclass(frozen=True)
@@ -145,9 +144,7 @@ class LinearMoments:
     norm: Array
 
 
-def moments(
-    tree: Tree, vertices: Array, p: Array, basis: Callable[[Array], Array], frame: Frame, weight: Array
-) -> LinearMoments:
+def moments(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, weight: Array) -> LinearMoments:
     """Enclose linear parts (collective): Σ weight·(what is unsure of `linear`)² ≤ 1 is aimed at, over all simplices.
 
     On a part P of S the quadrature is exact for linear functions l times what is within ρ of e, so it has (d, l)_P but
@@ -156,8 +153,7 @@ def moments(
     Args:
         tree: The expression.
         vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
-        p: Coefficients of polynomials of a degree ≤ K, shape (n, coefficients).
-        basis: Gives these basis functions in points from their barycentric coordinates.
+        p: The polynomials, of a degree ≤ K.
         frame: The domain.
         weight: Of each simplex.
     """
@@ -165,20 +161,15 @@ def moments(
     slopes, centre = barycentric_gradients(vertices), vertices.mean(axis=1)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        x, rule = in_points(parts.vertices)
+        (x, rule, d), rho = _left(tree, p, vertices, parts), 2 * remainder.distance()
         hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.own, None], slopes[parts.own])
-        d = values(tree, x) - np.einsum("nqa,na->nq", basis(hats), p[parts.own])
-        rho = 2 * remainder.distance()
         return np.column_stack([rho**2, (np.sqrt(d**2 @ rule) + rho) ** 2, np.einsum("nq,q,nqv->nv", d, rule, hats)])
 
     def need(parts: Parts, of_parts: Array) -> Array:
-        wanted = weight[parts.own] * parts.share * of_parts[:, 0]
-        return np.where(np.isnan(wanted), np.inf, wanted)
+        return np.asarray(weight[parts.own] * parts.share * of_parts[:, 0])
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need)
-    share = parts.share[:, None] * of_parts
-    share[np.isnan(share)] = np.inf
-    unsure, square, *of_hats = (np.bincount(parts.own, column, number) for column in share.T)
+    unsure, square, *of_hats = parts.sums(of_parts, number)
     with np.errstate(invalid="ignore"):
         squares = np.sum(np.square(of_hats), axis=0) - np.sum(of_hats, axis=0) ** 2 / (corners + 1)
         linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
@@ -187,115 +178,83 @@ def moments(
 
 @dataclass(frozen=True)
 class Tilts:
-    """Enclosures of d = e − P and ∇d on each of n simplices, P of degree K; infinite where nothing is known.
+    """Enclosures of d = e − p and ∇d on each of n simplices; infinite where nothing is known.
 
     Attributes:
         norm: Upper bound of the root mean square of d.
-        tilt: Upper bound of that of |∇d|.
-        seen: Both over the points of a quadrature, shape (2, n).
+        tilt: Upper bound of that of |∇d|, along the simplex.
         place: Centroid of the part that adds most to the uncertainty, shape (n, dim).
     """
 
     norm: Array
     tilt: Array
-    seen: Array
     place: Array
 
 
-def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int) -> Tilts:
-    """Enclose gradients less those of the L² projection to polynomials of degree K (collective).
+def tilts(
+    tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, weight: Array, close: float = CLOSE
+) -> Tilts:
+    """Enclose gradients (collective).
 
-    Σ weight·(by how much the bound of |∇d|² may be too large) ≤ 1 is aimed at; a share CLOSE of the bound is allowed.
+    Σ weight·(by how much the bound of |∇d|² may be too large) ≤ 1 is aimed at; a share `close` of the bound is allowed.
 
     Args:
         tree: The expression.
-        vertices: Vertices of n simplices of this rank in as many dimensions as the domain, shape (n, dim + 1, dim).
+        vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
+        p: The polynomials, of a degree ≤ K.
         frame: The domain.
         weight: Of each simplex.
-        degree: Degree of the quadrature for `Tilts.seen`.
+        close: The share.
     """
     number = len(vertices)
-    projection = _Projection.of(tree, vertices)
-    shown = projection.distance(tree, vertices, degree)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
         x, rule = in_points(parts.vertices)
-        value, gradient = values_and_gradient(tree, x)
-        d, subtracted = projection.at(parts.own, x)
-        d, gradient = value - d, gradient - subtracted
-        rho, slope = remainder.slope()
-        seen = np.sqrt((gradient**2).sum(axis=2) @ rule)
-        steep = (seen + 2 * slope) ** 2
-        return np.stack([(np.sqrt(d**2 @ rule) + 2 * rho) ** 2, steep, steep - seen**2], axis=1)
+        seen, (rho, slope) = np.sqrt(_squares(tree, p, vertices, parts, x) @ rule), remainder.slope()
+        norm, steep = (seen[0] + 2 * rho) ** 2, (seen[1] + 2 * slope) ** 2
+        return np.stack([norm, steep, steep - seen[1] ** 2], axis=1)
 
     def need(parts: Parts, of_parts: Array) -> Array:
         steep, excess = (np.bincount(parts.own, parts.share * column, number) for column in of_parts[:, 1:].T)
-        close = (excess <= CLOSE * steep)[parts.own]
-        wanted = weight[parts.own] * parts.share * of_parts[:, 2]
-        return np.where(close, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
+        return np.where((excess <= close * steep)[parts.own], 0.0, weight[parts.own] * parts.share * of_parts[:, 2])
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need, rough=False)
-    share = parts.share[:, None] * of_parts
-    share[np.isnan(share)] = np.inf
-    norm, tilt, _ = (np.sqrt(np.bincount(parts.own, column, number)) for column in share.T)
-    return Tilts(norm, tilt, shown, _place(parts, share[:, 2], vertices))
+    norm, tilt, _ = np.sqrt(parts.sums(of_parts, number))
+    return Tilts(norm, tilt, _place(parts, parts.share * of_parts[:, 2], vertices))
 
 
-@dataclass(frozen=True)
-class _Projection:
-    """Polynomials of degree K on simplices.
+def projected(tree: Tree, vertices: Array) -> Polynomial:
+    """The L² projections of an expression to polynomials of degree K, by quadrature."""
+    corners = vertices.shape[1]
+    points, weights = _rule(corners, 2 * DEGREE)
+    basis = orthonormal(SIMPLEX[corners - 1], DEGREE).tabulate(0, points)[0][:, :, 0]
+    coefficients = np.empty((len(vertices), basis.shape[1]))
+    for begin in range(0, len(vertices), CHUNK):
+        some = slice(begin, begin + CHUNK)
+        coefficients[some] = values(tree, in_points(vertices[some])[0]) @ (weights[:, None] * basis)
+    measure = 1 / math.factorial(corners - 1)
+    return Polynomial(coefficients * measure, barycentric_gradients(vertices), DEGREE)
 
-    Attributes:
-        coefficients: In an orthonormal basis on the reference simplex, shape (n, basis).
-        origin: First vertex of each, shape (n, dim).
-        inverse: Inverse of the map from the reference simplex, shape (n, dim, dim).
-    """
 
-    coefficients: Array
-    origin: Array
-    inverse: Array
+def shown(tree: Tree, vertices: Array, p: Quadratic | Polynomial, degree: int) -> Array:
+    """Root mean squares of d = e − p and of |∇d| over the points of a quadrature of this degree, shape (2, n)."""
+    everything = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
+    squares = np.empty((2, len(vertices)))
+    for begin in range(0, len(vertices), CHUNK):
+        parts = everything.take(slice(begin, begin + CHUNK))
+        x, weights = in_points(parts.vertices, degree)
+        squares[:, parts.own] = _squares(tree, p, vertices, parts, x) @ weights
+    return np.sqrt(squares)
 
-    @classmethod
-    def of(cls, tree: Tree, vertices: Array) -> "_Projection":
-        """The L² projections of an expression, by quadrature."""
-        corners = vertices.shape[1]
-        points, weights = _rule(corners, 2 * DEGREE)
-        basis = orthonormal(SIMPLEX[corners - 1], DEGREE).tabulate(0, points)[0][:, :, 0]
-        coefficients = np.empty((len(vertices), basis.shape[1]))
-        for begin in range(0, len(vertices), CHUNK):
-            some = slice(begin, begin + CHUNK)
-            coefficients[some] = values(tree, in_points(vertices[some])[0]) @ (weights[:, None] * basis)
-        measure = 1 / math.factorial(corners - 1)
-        return cls(coefficients * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
 
-    def at(self, own: Indices, x: Array) -> tuple[Array, Array]:
-        """Values and gradients in points of simplices with these numbers, shape (parts, points, dim).
-
-        Parts that lie alike in their simplices share what the basis is there, which takes most of the time.
-        """
-        inverse, (number, points, dim) = self.inverse[own], x.shape
-        reference = np.einsum("nij,nqj->nqi", inverse, x - self.origin[own, None])
-        rounded = np.round(reference, DIGITS).reshape(number, points * dim)
-        _, first, alike = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-        tables = orthonormal(SIMPLEX[dim], DEGREE).tabulate(1, reference[first].reshape(-1, dim))[:, :, :, 0]
-        tables = tables.reshape(dim + 1, len(first), points, self.coefficients.shape[1]).transpose(1, 0, 3, 2)
-        groups = np.split(np.argsort(alike), np.cumsum(np.bincount(alike))[:-1])
-        results = np.empty((dim + 1, number, points))
-        for table, rows in zip(tables, groups, strict=False):  # without parts there is an empty group and no table
-            results[:, rows] = self.coefficients[own[rows]] @ table
-        return results[0], np.einsum("inq,nij->nqj", results[1:], inverse)
-
-    def distance(self, tree: Tree, vertices: Array, degree: int) -> Array:
-        """Root mean squares of d and of |∇d| over the points of a quadrature of this degree."""
-        distances = np.empty((2, len(vertices)))
-        for begin in range(0, len(vertices), CHUNK):
-            own = np.arange(begin, min(begin + CHUNK, len(vertices)))
-            x, weights = in_points(vertices[own], degree)
-            value, gradient = values_and_gradient(tree, x)
-            subtracted, slope = self.at(own, x)
-            distances[0, own] = np.sqrt((value - subtracted) ** 2 @ weights)
-            distances[1, own] = np.sqrt(((gradient - slope) ** 2).sum(axis=2) @ weights)
-        return distances
+def _squares(tree: Tree, p: Quadratic | Polynomial, vertices: Array, parts: Parts, x: Array) -> Array:
+    """The squares of d and of |∇d| along simplices in points of parts of them, shape (2, parts, points)."""
+    value, gradient = values_and_gradient(tree, x)
+    if vertices.shape[1] <= vertices.shape[2]:
+        edges = (vertices[:, 1:] - vertices[:, :1])[parts.own]
+        gradient = gradient @ np.linalg.pinv(edges) @ edges
+    jets = _of_simplices(p, vertices, parts, x)
+    return np.stack([(value - jets[:, :, 0]) ** 2, ((gradient - jets[:, :, 1:]) ** 2).sum(axis=2)])
 
 
 @dataclass(frozen=True)
@@ -359,7 +318,7 @@ def ranges(
 
     def need(parts: Parts, bounds: Array) -> Array:
         size = lacking(rows[parts.own], bounds)
-        return np.where(size <= 0, 0.0, 1 + np.where(np.isnan(size), np.inf, size))
+        return np.where(size <= 0, 0.0, 1 + size)
 
     rows = np.flatnonzero(unclear)
     parts, of_parts = in_parts([tree], vertices[unclear], frame, look, need)

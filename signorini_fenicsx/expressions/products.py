@@ -98,15 +98,10 @@ def products(
             return np.column_stack([seen[:, :2], rho * np.sqrt(seen[:, 3]), (np.sqrt(seen[:, 2]) + rho) ** 2])
 
         def need(parts: Parts, of_parts: Array) -> Array:
-            wanted = measure[rough[parts.own]] * parts.share * of_parts[:, 2] / enough
-            return np.where(np.isnan(wanted), np.inf, wanted)
+            return np.asarray(measure[rough[parts.own]] * parts.share * of_parts[:, 2] / enough)
 
         parts, of_parts = in_parts([tree], vertices[rough], frame, of_rest, need)
-        share = parts.share[:, None] * of_parts
-        share[np.isnan(share)] = np.inf
-        middle[rough], size[rough], radius[rough], squares = (
-            np.bincount(parts.own, column, len(rough)) for column in share.T
-        )
+        middle[rough], size[rough], radius[rough], squares = parts.sums(of_parts, len(rough))
         norm[rough] = np.sqrt(squares)
     radius = radius + OF_SUMS * size
     unknown = ~np.isfinite(middle) | np.isnan(radius)

@@ -20,15 +20,17 @@ from signorini_fenicsx.expressions.tree import Tree, evaluate
 
 INSIDE = 0.75
 """Distance of the nodes of an interpolant from the centroid, relative to that of the nodes of P2."""
+DIGITS = 12
+"""Points of reference simplices are the same in so many digits."""
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """Polynomials of any degree on n simplices.
+    """Polynomials of any degree on n simplices of dimension k.
 
     Attributes:
         coefficients: In an orthonormal basis on the reference simplex, shape (n, basis).
-        slopes: Gradients of barycentric coordinates, shape (n, dim + 1, dim).
+        slopes: Gradients of barycentric coordinates, shape (n, k + 1, d).
         degree: Their degree.
     """
 
@@ -41,11 +43,30 @@ class Polynomial:
         return Polynomial(self.coefficients[rows], self.slopes[rows], self.degree)
 
     def at(self, arms: Array) -> Array:
-        """Values in points minus centroids, shape (n, points, dim); the result has the shape (n, points, 1)."""
-        number, points, dim = arms.shape
-        places = 1 / (dim + 1) + np.einsum("nqi,nvi->nqv", arms, self.slopes[:, 1:])
-        table = orthonormal(SIMPLEX[dim], self.degree).tabulate(0, places.reshape(-1, dim))[0][:, :, 0]
-        return np.einsum("nqb,nb->nq", table.reshape(number, points, table.shape[1]), self.coefficients)[:, :, None]
+        """Values, and gradients as the last columns, in points x with x − x_T given, shape (n, points, 1 + d).
+
+        Points that lie alike in their simplices share what the basis is there, which takes most of the time.
+        """
+        (number, points, dim), corners = arms.shape, self.slopes.shape[1]
+        reference = 1 / corners + np.einsum("nqi,nvi->nqv", arms, self.slopes[:, 1:])
+        rounded = np.round(reference, DIGITS).reshape(number, points * (corners - 1))
+        _, first, alike = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        basis = orthonormal(SIMPLEX[corners - 1], self.degree)
+        tables = basis.tabulate(1, reference[first].reshape(-1, corners - 1))[:, :, :, 0]
+        tables = tables.reshape(corners, len(first), points, basis.dim).transpose(1, 0, 3, 2)
+        groups = np.split(np.argsort(alike), np.cumsum(np.bincount(alike))[:-1])
+        jets = np.empty((corners, number, points))
+        for table, rows in zip(tables, groups, strict=False):  # without simplices there is an empty group and no table
+            jets[:, rows] = self.coefficients[rows] @ table
+        at = np.empty((number, points, 1 + dim))
+        at[:, :, 0], at[:, :, 1:] = jets[0], np.einsum("vnq,nvi->nqi", jets[1:], self.slopes[:, 1:])
+        return at
+
+
+def through(vertices: Array, nodes: Array, at_nodes: Array, degree: int) -> Polynomial:
+    """The polynomials of a degree with these values in nodes of the reference simplex, shape (n, nodes)."""
+    table = orthonormal(SIMPLEX[vertices.shape[1] - 1], degree).tabulate(0, nodes)[0][:, :, 0]
+    return Polynomial(at_nodes @ np.linalg.inv(table).T, barycentric_gradients(vertices), degree)
 
 
 @dataclass(frozen=True)
@@ -168,6 +189,12 @@ class Parts:
         """The parts of both."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "own", "share")]
         return Parts(*(np.concatenate(pair) for pair in pairs))
+
+    def sums(self, columns: Array, number: int) -> Array:
+        """Sums of columns times shares over the parts of so many simplices, shape (columns, number); ∞ for NaN."""
+        shares = self.share[:, None] * columns
+        shares[np.isnan(shares)] = np.inf
+        return np.stack([np.bincount(self.own, column, number) for column in shares.T])
 
     def longest(self) -> tuple[Indices, Indices]:
         """The longest edge of each part, by the numbers of its vertices."""

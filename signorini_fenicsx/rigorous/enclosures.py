@@ -20,10 +20,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.reference_cells import EDGES
 from signorini_fenicsx.expressions import Tree
+from signorini_fenicsx.expressions.cutting import cut_as_needed, halving
 from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, Interval, enclosing, stacked
 from signorini_fenicsx.expressions.simplices import (
     ROUNDING,
@@ -44,8 +46,6 @@ WORST = 0.25
 """A part is cut if its share of the uncertainty is at least this much of the largest share in its simplex."""
 CLOSE = 0.5
 """An upper bound of ‖d‖² is good enough if it is too large by at most this share of itself."""
-CHUNK = 20000
-"""Boxes evaluated at once."""
 
 
 @dataclass(frozen=True)
@@ -95,27 +95,30 @@ def enclose(
         elementary: Bounds of sin, exp, ….
         by: The quantity with the tolerance: `Enclosure.norm`, `tilt` or the width of `mean`.
     """
+    number, is_mean = len(vertices), by == "mean"
+    above, below = {"mean": (MEAN_HI, MEAN_LO), "tilt": (STEEP, FLAT)}.get(by, (SQUARE, LEAST))
 
-    def look(parts: Parts) -> Array:
-        starts = range(0, max(len(parts.own), 1), CHUNK)
-        return np.concatenate([_known(tree, parts.take(slice(a, a + CHUNK)), vertices, p, elementary) for a in starts])
+    def looked(parts: Parts) -> tuple[Array, Array]:
+        return _known(tree, parts, vertices, p, elementary), halving(parts)
+
+    def need(parts: Parts, known: Array) -> Array:
+        """All of the worst parts of simplices that are not done, nothing of the others."""
+        own, gap = parts.own, parts.share * (known[:, above] - known[:, below])
+        left, upper = (np.bincount(own, each, number) for each in (gap, parts.share * known[:, above]))
+        if is_mean:
+            needy = ~(left <= tolerance)
+        else:
+            needy = ~((np.isfinite(upper) & (left <= CLOSE * upper)) | (upper <= tolerance**2))
+        largest = np.zeros(number)
+        np.maximum.at(largest, own, gap)
+        cut = needy[own] & (gap >= WORST * largest[own])
+        needy &= _boxes(parts, number) + 2 * np.bincount(own, cut, number) <= CAP
+        return np.where(cut & needy[own], 2.0, 0.0)
 
     with np.errstate(all="ignore"):
-        work = _Bisection(vertices, tolerance, by)
-        parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
-        values = look(parts)
-        left = (BUDGET_EACH - 1) * len(vertices) + BUDGET
-        while True:
-            active, cut = work.decide(parts, values)
-            wanted = 2 * int(np.count_nonzero(cut))
-            if not 0 < wanted <= left:
-                work.add(parts, values)
-                return work.result()
-            left -= wanted
-            work.add(parts.take(~active), values[~active])
-            halves = parts.take(cut).halves()
-            kept = active & ~cut
-            parts, values = parts.take(kept).and_(halves), np.concatenate([values[kept], look(halves)])
+        room = BUDGET + BUDGET_EACH * number
+        parts, known = cut_as_needed(vertices, looked, need, room, MPI.COMM_SELF)
+        return _summed(parts, known, vertices)
 
 
 MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, RISE, LO, HI = range(12)
@@ -123,64 +126,34 @@ MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, RISE, LO, HI = r
 square of d and of |∇d|; |d|, |∇d|, |∇d·e|; the range of e."""
 
 
-class _Bisection:
-    """What decides which parts are cut, and sums over the parts of simplices that are done."""
+def _boxes(parts: Parts, number: int) -> Indices:
+    """How many boxes have been looked at for each of so many simplices."""
+    return np.asarray(2 * np.bincount(parts.own, minlength=number) - 1)
 
-    def __init__(self, vertices: Array, tolerance: Array, by: str):
-        n = len(vertices)
-        self._tolerance = tolerance
-        self._above, self._below = {"mean": (MEAN_HI, MEAN_LO), "tilt": (STEEP, FLAT)}.get(by, (SQUARE, LEAST))
-        self._cost = np.ones(n, dtype=np.int64)
-        self._sums = np.zeros((n, 5))
-        self._most = np.zeros((n, 3))
-        self._range = np.tile([np.inf, -np.inf], (n, 1))
-        self._place = vertices.mean(axis=1)
 
-    def decide(self, parts: Parts, values: Array) -> tuple[Mask, Mask]:
-        """Masks of the parts of simplices that are not done, and of the worst of them, which are to be cut."""
-        own, n = parts.own, len(self._cost)
-        gap = parts.share * (values[:, self._above] - values[:, self._below])
-        left = np.bincount(own, gap, n)
-        if self._above == MEAN_HI:
-            needy = ~(left <= self._tolerance)
-        else:
-            upper = np.bincount(own, parts.share * values[:, self._above], n)
-            needy = ~((np.isfinite(upper) & (left <= CLOSE * upper)) | (upper <= self._tolerance**2))
-        largest = np.zeros(n)
-        np.maximum.at(largest, own, gap)
-        cut = needy[own] & (gap >= WORST * largest[own])
-        cost = self._cost + 2 * np.bincount(own, cut, n).astype(np.int64)
-        needy &= cost <= CAP
-        self._cost = np.where(needy, cost, self._cost)
-        return needy[own], cut & needy[own]
-
-    def add(self, parts: Parts, values: Array) -> None:
-        """Sum up all parts of simplices that are done."""
-        own, n = parts.own, len(self._cost)
-        for column, name in enumerate((MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)):
-            self._sums[:, column] += np.bincount(own, parts.share * values[:, name], n)
-        for column, name in enumerate((SUP, SLOPE, RISE)):
-            np.maximum.at(self._most[:, column], own, values[:, name])
-        np.minimum.at(self._range[:, 0], own, values[:, LO])
-        np.maximum.at(self._range[:, 1], own, values[:, HI])
-        order = np.argsort(parts.share * values[:, SQUARE], kind="stable")  # the worst part of each simplex comes last
-        self._place[own[order]] = parts.vertices[order].mean(axis=1)
-
-    def result(self) -> Enclosure:
-        """The sums, enlarged by their rounding; there are at most as many additions as boxes."""
-        rounding = self._cost * 2.0**-52
-        mean_lo, mean_hi, mean, *squares = self._sums.T
-        norm, tilt = (np.sqrt(square) * (1 + rounding) for square in squares)
-        return Enclosure(
-            mean=Interval(mean_lo - rounding * mean, mean_hi + rounding * mean),
-            norm=norm,
-            largest=self._most[:, 0],
-            slope=self._most[:, 1],
-            tilt=tilt,
-            rise=self._most[:, 2],
-            range=Interval(self._range[:, 0], self._range[:, 1]),
-            place=self._place,
-        )
+def _summed(parts: Parts, known: Array, vertices: Array) -> Enclosure:
+    """The sums over parts, enlarged by their rounding; there are at most as many additions as boxes."""
+    own, number = parts.own, len(vertices)
+    rounding = _boxes(parts, number) * 2.0**-52
+    names = (MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)
+    mean_lo, mean_hi, mean, *squares = (np.bincount(own, parts.share * known[:, name], number) for name in names)
+    norm, tilt = (np.sqrt(square) * (1 + rounding) for square in squares)
+    most, (lo, hi), place = np.zeros((3, number)), np.full((2, number), [[np.inf], [-np.inf]]), vertices.mean(axis=1)
+    for largest, name in zip((*most, hi), (SUP, SLOPE, RISE, HI), strict=True):
+        np.maximum.at(largest, own, known[:, name])
+    np.minimum.at(lo, own, known[:, LO])
+    order = np.argsort(parts.share * known[:, SQUARE], kind="stable")  # the worst part of each simplex comes last
+    place[own[order]] = parts.vertices[order].mean(axis=1)
+    return Enclosure(
+        mean=Interval(mean_lo - rounding * mean, mean_hi + rounding * mean),
+        norm=norm,
+        largest=most[0],
+        slope=most[1],
+        tilt=tilt,
+        rise=most[2],
+        range=Interval(lo, hi),
+        place=place,
+    )
 
 
 def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, elementary: Elementary) -> Array:

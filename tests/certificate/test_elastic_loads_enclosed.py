@@ -21,6 +21,7 @@ from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.expressions import read, values
 from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.expressions.enclosures import moments
+from signorini_fenicsx.expressions.simplices import through
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, length_of_facets, why_no_constant
@@ -167,7 +168,8 @@ def test_moments(corners: int):
     points, weights = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
     p = rng.uniform(-0.5, 0.5, (5, len(lattice(corners, degree))))
     frame = Frame(np.array([[0.0] * dim, [1.0] * dim]), 5, MPI.COMM_SELF)
-    found = moments(tree, vertices, p, lambda hats: lagrange(hats, degree), frame, np.full(5, 1e6))
+    near = through(vertices, lattice(corners, degree)[:, 1:] / degree, p, degree)
+    found = moments(tree, vertices, near, frame, np.full(5, 1e6))
     x = np.einsum("qv,nvi->nqi", points, vertices)
     d = values(tree, x) - p @ lagrange(points, degree).T
     mass = (1 + np.eye(corners)) / (corners * (corners + 1))

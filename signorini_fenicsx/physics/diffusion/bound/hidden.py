@@ -31,7 +31,7 @@ from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints, in_cells
 from signorini_fenicsx.expressions import Tree
-from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
+from signorini_fenicsx.expressions.enclosures import distances, means, projected, ranges, shown, slopes, tilts
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.simplices import barycentric_gradients, constant, quadratic
 from signorini_fenicsx.expressions.tree import Negative
@@ -207,8 +207,10 @@ class _Missed:
         with np.errstate(invalid="ignore"):
             slope, place = gradient + decay * value, vertices.mean(axis=1)
         rough = ~(gradient <= limit / 2)
-        rough_tilts = tilts(tree, vertices[rough], frame, weight[rough], self.degrees[1])
-        of_value, of_slope = np.array([rough_tilts.norm, rough_tilts.tilt]) + rough_tilts.seen
+        p = projected(tree, vertices[rough])
+        rough_tilts = tilts(tree, vertices[rough], p, frame, weight[rough])
+        seen = shown(tree, vertices[rough], p, self.degrees[1])
+        of_value, of_slope = np.array([rough_tilts.norm, rough_tilts.tilt]) + seen
         slope[rough] = np.fmin(slope[rough], of_slope + decay[rough] * of_value)
         value[rough] = np.fmin(value[rough], of_value)
         place[rough] = rough_tilts.place

@@ -372,13 +372,10 @@ def _in_parts(
 
     def need(parts: Parts, of_parts: Array) -> Array:
         seen, small, _ = of_parts.T
-        wanted = volume[parts.own] * parts.share * small / max(total, 1e-300)
-        return np.where(small <= CLOSE * seen, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
+        return np.where(small <= CLOSE * seen, 0.0, volume[parts.own] * parts.share * small / max(total, 1e-300))
 
     parts, of_parts = in_parts(piece.trees, vertices, frame, look, need, piece.smallest)
-    share = parts.share[:, None] * of_parts
-    share[np.isnan(share)] = np.inf
-    return Squares(*(volume * np.bincount(parts.own, column, len(cells)) for column in share.T))
+    return Squares(*(volume * parts.sums(of_parts, len(cells))))
 
 
 def _order(resolution: Resolution) -> int:

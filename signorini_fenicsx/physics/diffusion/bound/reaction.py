@@ -142,8 +142,7 @@ def cut_loads(
         unsure[rows] = 0.0
 
         def need(parts: Parts, rho: Array, rows: Indices = rows) -> Array:
-            wanted = parts.share * (weight[:, rows[parts.own]].T * rho**2).sum(axis=1)
-            return np.where(np.isnan(wanted), np.inf, wanted)
+            return np.asarray(parts.share * (weight[:, rows[parts.own]].T * rho**2).sum(axis=1))
 
         parts, rho = in_parts(trees, resolution.vertices[cells[rows]], resolution.spaces.frame, look, need)
         parts = Parts(parts.vertices, rows[parts.own], parts.share)

@@ -25,7 +25,6 @@ so the load adds at most the root of this factor times (Σ ‖g − g̃‖_e²/�
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 
 import basix
 import numpy as np
@@ -43,7 +42,7 @@ from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
-from signorini_fenicsx.expressions.simplices import Parts, Quadratic, barycentric, barycentric_gradients
+from signorini_fenicsx.expressions.simplices import Parts, Quadratic, barycentric, barycentric_gradients, through
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, constant_of_facets, length_of_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
@@ -145,13 +144,13 @@ class _Enclosures:
     def roots(self) -> Array:
         """Roots of the mean squares, after cuts, shape (3, simplices) (collective)."""
         bounds, comm = np.concatenate(self.squares), self.spaces.mesh.comm
-        basis = partial(lagrange, degree=self.degree)
         for scalar in range(len(self.datum.scalars)):
             for number, tree, _ in self.trees(scalar, np.arange(0)):
                 rows, vertices, near = map(np.concatenate, zip(*self.rough[scalar, number], strict=True))
                 limit = self.enough / math.sqrt(len(self.datum.scalars))
                 weight = np.full(len(rows), 1 / (limit**2 * max(comm.allreduce(len(rows)), 1)))
-                cut = moments(tree, vertices, near, basis, self.spaces.frame, weight)
+                nodes = lattice(vertices.shape[1], self.degree)[:, 1:] / self.degree
+                cut = moments(tree, vertices, through(vertices, nodes, near, self.degree), self.spaces.frame, weight)
                 bounds[rows, 1] += cut.norm**2
                 bounds[rows, 2] += cut.linear**2
         return np.sqrt(np.maximum(bounds, 0.0)).T

@@ -38,7 +38,6 @@ shows that is exact for the squares of such polynomials, and 2|e|ρ.
 import math
 from collections.abc import Iterator, Sequence
 
-import basix
 import numpy as np
 from mpi4py import MPI
 
@@ -47,10 +46,10 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import beside
 from signorini_fenicsx.expressions import Tree, is_polynomial, values
-from signorini_fenicsx.expressions.enclosures import distances, in_points, slopes
-from signorini_fenicsx.expressions.evaluation import values_and_gradient
+from signorini_fenicsx.expressions.enclosures import means, shown, tilts
+from signorini_fenicsx.expressions.products import SMALLEST
 from signorini_fenicsx.expressions.series import DEGREE
-from signorini_fenicsx.expressions.simplices import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric_gradients, constant, through
 from signorini_fenicsx.physics.elasticity.bound.conforming import OUT
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
@@ -62,11 +61,9 @@ OF_BODIES, OF_FLUIDS = 2, 3
 WITH_MEAN = 1 + math.sqrt(12) / (3 * math.pi)
 """How much larger ‖r‖ may be with a p that has the mean of t."""
 SHARE = 0.05
-"""ρ need not be smaller than what adds this share to ‖r‖,"""
+"""The bound of ‖r‖² may be too large by this share of itself,"""
 ROUNDING = 1e-9
-"""or this share of the derivative of t; else facets are halved,"""
-HALVINGS = 8
-"""at most so many times."""
+"""and that of ‖r‖ by this share of the derivative of t; else facets are cut."""
 
 type _Given = tuple[str, BoundaryFacets, list[tuple[Datum, Array]]]
 """The name of a datum, facets, and the scalars whose sum with these factors is t on them."""
@@ -160,36 +157,20 @@ def _means_off(spaces: ElasticSpaces, data: ElasticData) -> Array:
     It is infinite where no mean is enclosed.
     """
     comm, off = spaces.mesh.comm, np.zeros(len(spaces.order))
-    means = [data.lift[spaces.unknowns(facets, k)].mean(axis=1) for facets, k, *_ in spaces.fixed]
-    size = comm.allreduce(max((float(np.abs(each).max(initial=0.0)) for each in means), default=0.0), MPI.MAX)
-    for (facets, _, axes, of), mean in zip(spaces.fixed, means, strict=True):
+    of_u = [data.lift[spaces.unknowns(facets, k)].mean(axis=1) for facets, k, *_ in spaces.fixed]
+    size = comm.allreduce(max((float(np.abs(each).max(initial=0.0)) for each in of_u), default=0.0), MPI.MAX)
+    for (facets, _, axes, of), mean in zip(spaces.fixed, of_u, strict=True):
         away, unsure = -mean, np.zeros(len(mean))
         for r in of:
             for tree, rows in _pieces(data.u_D.components[r], facets, -1):
-                middle, radius = _mean_of(spaces, tree, facets.vertices[rows], OUT / 10 * size)
-                away[rows] += axes[rows, r] * middle
-                unsure[rows] += np.abs(axes[rows, r]) * radius
+                ends, enough = facets.vertices[rows], max(OUT / 10 * size, SMALLEST)
+                weight = np.full(len(ends), 1 / enough**2)
+                found = means(tree, ends, constant(np.zeros(len(ends)), spaces.dim), spaces.frame, weight).mean
+                away[rows] += axes[rows, r] * (found.lo + found.hi) / 2
+                unsure[rows] += np.abs(axes[rows, r]) * (found.hi - found.lo) / 2
         away = np.abs(away) + unsure
         np.maximum.at(off, facets.cells, np.where(away <= OUT * size, 0.0, away))
     return off
-
-
-def _mean_of(spaces: ElasticSpaces, tree: Tree, ends: Array, enough: float) -> tuple[Array, Array]:
-    """The means of t between ends, and how far they may be from these, of parts that are halved until it is enough."""
-    middle, radius, rows = np.zeros(len(ends)), np.full(len(ends), np.inf), np.arange(len(ends))
-    for level in range(HALVINGS + 1):
-        if len(rows) == 0:
-            break
-        at = np.linspace(0.0, 1.0, 2**level + 1)
-        parts = _between(ends[rows], np.broadcast_to(at, (len(rows), len(at))))
-        parts = np.stack([parts[:, :-1], parts[:, 1:]], axis=2).reshape(-1, 2, spaces.dim)
-        points, weights = in_points(parts)
-        rho = distances(tree, parts, spaces.frame, np.full(len(parts), enough / 2))
-        shape = len(rows), 2**level
-        middle[rows] = (values(tree, points) @ weights).reshape(shape).mean(axis=1)
-        radius[rows] = 2 * rho.reshape(shape).mean(axis=1)
-        rows = rows[~(radius[rows] <= enough)]
-    return middle, radius
 
 
 def _given(spaces: ElasticSpaces, data: ElasticData) -> Iterator[_Given]:
@@ -212,27 +193,17 @@ def _rising(
 
 
 def _of_tree(spaces: ElasticSpaces, tree: Tree, ends: Array, degree: int) -> Array:
-    """Bounds of ‖r‖ between ends, with parts that are halved where ρ is too large."""
-    points, weights = basix.make_quadrature(basix.CellType.interval, 2 * DEGREE)
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    p = _slopes_of_interpolant(tree, ends, degree, beside(spaces.mesh))
-    rising, off = _derivatives(tree, ends, np.broadcast_to(points[:, 0], (len(ends), len(points))), p)
-    enough = np.maximum(SHARE * np.sqrt(off**2 @ weights), ROUNDING * np.sqrt(rising**2 @ weights)) / (2 * length)
-    squares, rows, begin = np.zeros(len(ends)), np.arange(len(ends)), np.zeros(len(ends))
-    for level in range(HALVINGS + 1):
-        if len(rows) == 0:
-            break
-        share = 0.5**level
-        at = begin[:, None] + share * points[:, 0]
-        parts = _between(ends[rows], np.stack([begin, begin + share], axis=1))
-        rho = slopes(tree, parts, spaces.frame, enough[rows])[1]
-        done = ~(rho > enough[rows]) | (level == HALVINGS)
-        seen = np.sqrt(_derivatives(tree, ends[rows[done]], at[done], p[rows[done]])[1] ** 2 @ weights)
-        of_parts = share * (seen + 2 * length[rows[done]] * rho[done]) ** 2
-        squares += np.bincount(rows[done], np.nan_to_num(of_parts, nan=np.inf, posinf=np.inf), len(ends))
-        rows, begin = np.repeat(rows[~done], 2), np.repeat(begin[~done], 2)
-        begin[1::2] += share / 2
-    return np.sqrt(squares)
+    """Bounds of ‖r‖ between ends, where p has values inside the facets as in `from_within` (collective)."""
+    nodes, step = np.linspace(0.0, 1.0, degree + 1), beside(spaces.mesh)
+    near, far = (
+        values(tree, ends[:, :1] + (nodes + share * (0.5 - nodes))[:, None] * (ends[:, 1:] - ends[:, :1]))
+        for share in (step, 2 * step)
+    )
+    p = through(ends, nodes[:, None], 2 * near - far, degree)
+    rising = shown(tree, ends, constant(np.zeros(len(ends)), spaces.dim), 2 * DEGREE)[1]
+    weight = 1 / np.maximum(ROUNDING * rising, SMALLEST) ** 2 / max(spaces.mesh.comm.allreduce(len(ends)), 1)
+    found = tilts(tree, ends, p, spaces.frame, weight, SHARE)
+    return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * found.tilt
 
 
 def _pieces(datum: Datum, facets: BoundaryFacets, degree: int) -> Iterator[tuple[Tree, Indices]]:
@@ -241,33 +212,3 @@ def _pieces(datum: Datum, facets: BoundaryFacets, degree: int) -> Iterator[tuple
         for tree, rows in part.trees_in(facets.cells):
             if not is_polynomial(tree, degree):
                 yield tree, rows[mask[rows]]
-
-
-def _slopes_of_interpolant(tree: Tree, ends: Array, degree: int, step: float) -> Array:
-    """The coefficients of p' by the powers of τ, from values inside the facets as in `from_within`."""
-    nodes, powers = np.linspace(0.0, 1.0, degree + 1), np.arange(1, degree + 1)
-    coefficients = np.linalg.inv(np.vander(nodes, increasing=True))[1:] * powers[:, None]
-    near, far = (
-        values(tree, _between(ends, np.broadcast_to(nodes + share * (0.5 - nodes), (len(ends), degree + 1))))
-        for share in (step, 2 * step)
-    )
-    return np.asarray((2 * near - far) @ coefficients.T)
-
-
-def _derivatives(tree: Tree, ends: Array, at: Array, p: Array) -> tuple[Array, Array]:
-    """The derivatives of t and of t − p by τ in points between the ends of facets, shape (facets, points) each.
-
-    Args:
-        tree: t.
-        ends: Of the facets, shape (facets, 2, d).
-        at: τ.
-        p: The coefficients of p' by the powers of τ.
-    """
-    _, gradients = values_and_gradient(tree, _between(ends, at))
-    rising = np.einsum("nqi,ni->nq", gradients, ends[:, 1] - ends[:, 0])
-    return rising, rising - np.einsum("nqk,nk->nq", at[..., None] ** np.arange(p.shape[1]), p)
-
-
-def _between(ends: Array, at: Array) -> Array:
-    """Points between the ends of facets, from their τ, shape (facets, points, d)."""
-    return np.asarray(ends[:, :1] + at[..., None] * (ends[:, 1:] - ends[:, :1]))
