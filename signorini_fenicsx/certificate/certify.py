@@ -124,7 +124,7 @@ def _check(solution: Solved, v: fem.Function) -> None:
         raise InputError(f"v: must be {kind} of continuous Lagrange elements of degree 1 or 2, not {element}")
 
 
-def joined(
+def bound_by_parts(
     solution: Solved,
     certificate: Certificate,
     squares: tuple[Array, Array],
@@ -132,7 +132,7 @@ def joined(
     repair: float | None = None,
     of_repaired: Certificate | None = None,
 ) -> FieldBound:
-    """The bounds from m² per owned cell, at most and at least, and of a scalar the repair (collective)."""
+    """The bounds of a v from m² per owned cell, at most and at least, and of a scalar the repair (collective)."""
     spaces, (most, least), b = solution.spaces, squares, certificate.sigma_bound
     m, of_least = np.sqrt(spaces.mesh.comm.allreduce(np.array([most.sum(), least.sum()]))).tolist()
     repaired = None if of_repaired is None or repair is None else of_repaired.bound + repair

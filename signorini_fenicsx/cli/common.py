@@ -42,7 +42,7 @@ def refuse_idle(case: "CaseFile", **options: object) -> None:
     Raises:
         InputError: If one is given.
     """
-    from signorini_fenicsx.methods.registry import Method, those
+    from signorini_fenicsx.methods.registry import Method, methods_that
 
     has: dict[str, Callable[[Method], object]] = {
         "rho": lambda method: method.has_rho,
@@ -52,7 +52,7 @@ def refuse_idle(case: "CaseFile", **options: object) -> None:
     }
     for key, needed in has.items():
         if options.get(key) is not None and not needed(case.method):
-            raise InputError(f"--{key}: {case.solve.algorithm} has no such option; {those(needed)} have it")
+            raise InputError(f"--{key}: {case.solve.algorithm} has no such option; {methods_that(needed)} have it")
 
 
 def results_place(output: Path | None, name: str) -> Path:

@@ -17,7 +17,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.comparison import differences
-from signorini_fenicsx.methods.registry import those
+from signorini_fenicsx.methods.registry import methods_that
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver
 
@@ -113,7 +113,7 @@ def convergence_study(
         NumericalFailure: If a run fails.
     """
     if vary is not Vary.H and not case.method.has_eps:
-        penalised = those(lambda method: method.has_eps)
+        penalised = methods_that(lambda method: method.has_eps)
         raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no ε; {penalised} have it")
     solver = _solver(case, comm) if vary is Vary.EPS else None
     if solver is not None:  # the table has the steps of the algorithm itself, which a prediction would save

@@ -360,20 +360,20 @@ class Chains:
         if np.any(low > high):
             raise ValueError("no p is allowed by both")
         p = np.hstack([self.p, other.p])
-        own = np.repeat([True, False], [self.corners, other.corners])
-        # Own corners come first at equal p: at them the other chain has not fallen yet, at its corners this one has.
+        of_self = np.repeat([True, False], [self.corners, other.corners])
+        # Corners of this chain come first at equal p: there the other one has not fallen yet, at its own this one has.
         with np.errstate(invalid="ignore"):
             inside = np.where(np.isinf(p), p, np.clip(p, low[:, None], high[:, None]))
         flux = np.empty_like(p)
         for column in range(p.shape[1]):
             at_p = np.where(np.isinf(p[:, column]), 0.0, inside[:, column])
-            mine, theirs = self.ends_at(at_p), other.ends_at(at_p)
-            at = self.flux[:, column] if own[column] else other.flux[:, column - self.corners]
+            ends, others = self.ends_at(at_p), other.ends_at(at_p)
+            at = self.flux[:, column] if of_self[column] else other.flux[:, column - self.corners]
             moved = at_p != p[:, column]
-            at = np.where(moved, (mine if own[column] else theirs)[int(column >= self.corners)], at)
-            flux[:, column] = at + (theirs[0] if own[column] else mine[1])
+            at = np.where(moved, (ends if of_self[column] else others)[int(column >= self.corners)], at)
+            flux[:, column] = at + (others[0] if of_self[column] else ends[1])
         flux = np.where(np.isinf(p), -np.inf, flux)
-        order = np.lexsort((np.broadcast_to(~own, p.shape), inside), axis=1)
+        order = np.lexsort((np.broadcast_to(~of_self, p.shape), inside), axis=1)
         inside, flux = (np.take_along_axis(values, order, axis=1) for values in (inside, flux))
         finite = np.isfinite(inside)
         flux = np.where(finite, np.minimum.accumulate(np.where(finite, flux, np.inf), axis=1), -np.inf)
@@ -389,8 +389,8 @@ class Chains:
     def followed_by(self, others: Chains) -> Chains:
         """These chains, and behind them others, of sites of another kind."""
         number = len(self.p) + len(others.p)
-        own, behind = np.split(np.arange(number), [len(self.p)])
-        return joined([(own, self), (behind, others)], number)
+        first, behind = np.split(np.arange(number), [len(self.p)])
+        return joined([(first, self), (behind, others)], number)
 
 
 def joined(parts: Sequence[tuple[np.ndarray, Chains]], sites: int) -> Chains:

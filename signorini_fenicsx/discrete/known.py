@@ -21,7 +21,10 @@ MOST_KEPT = 8
 
 
 class Kept:
-    """The last results by all that they are made of, which return in steps."""
+    """The last few results of each name, found by all the data and arrays that they are made of.
+
+    Steps in time and bounds ask again and again for the same ones, not only for the last.
+    """
 
     def __init__(self) -> None:
         """Begin with nothing."""

@@ -208,7 +208,7 @@ METHODS: Mapping[str, Method] = {
 """All methods by their names on the command line."""
 
 
-def those(chosen: Callable[[Method], object]) -> str:
-    """The names of the methods for which this is true, as a list in words."""
+def methods_that(chosen: Callable[[Method], object]) -> str:
+    """The names of the methods for which this is true, in words: "alg1, alg2 and qp"."""
     *names, last = (name for name, method in METHODS.items() if chosen(method))
     return f"{', '.join(names)} and {last}"

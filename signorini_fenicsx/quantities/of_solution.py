@@ -35,7 +35,7 @@ class Quantities:
 
 
 def quantity(solution: Solved, kind: Kind, near: Quantity | None = None) -> Quantity:
-    """The interval for a quantity, see `Solved.quantity` (collective).
+    """The interval for a quantity, see `Solution.quantity` (collective).
 
     Raises:
         InputError: If it is not one of this problem, or both sides of a pair of surfaces are not on one process.

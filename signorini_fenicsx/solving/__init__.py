@@ -1,1 +1,1 @@
-"""Solutions, from a domain, a boundary and a problem."""
+"""How a problem on a domain is solved, once and in steps in time, and what its solutions are."""

@@ -20,7 +20,7 @@ from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.comparing.convergence import Vary, level_values
-from signorini_fenicsx.methods.registry import those
+from signorini_fenicsx.methods.registry import methods_that
 
 SHORT = tuple(Solve.model_fields)
 """Keys of [solve] that a study may write without `solve.`"""
@@ -197,7 +197,7 @@ def _run(study: Study, folder: Path, values: dict[str, Any]) -> Run:
     case = load_case(path if name.endswith(".toml") else name).with_values(values)
     task = study.convergence
     if task is not None and task.vary is not Vary.H and not case.method.has_eps:
-        penalised = those(lambda method: method.has_eps)
+        penalised = methods_that(lambda method: method.has_eps)
         raise InputError(f"[convergence] vary: {case.solve.algorithm} has no ε; {penalised} have it")
     if task is not None:
         for level in task.levels:

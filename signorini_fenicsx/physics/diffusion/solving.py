@@ -25,7 +25,7 @@ from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
-from signorini_fenicsx.methods.registry import those
+from signorini_fenicsx.methods.registry import methods_that
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
@@ -234,12 +234,11 @@ class DiffusionRun:
             violation = None if residual <= KKT else f"the residual of its own problem is {residual:.1e}, above {KKT:g}"
         elif violation is not None:
             violation += far_bound(self.task.spaces, self.task.data, outcome.iterate.u)
-        outcome.iterate.u.x.array[:] += self.constant
         return outcome.ended(violation if outcome.converged else outcome.reason), kkt
 
     def _data_found(self) -> Any:
         """The data, where κ depends on u with the one that was found (collective)."""
-        if not self.task.last:
+        if self.task.last_run.data is None:
             return self.data
         present, data = self.task.present, self.data
         if data.quasilinear is not None and present.quasilinear is not None:
@@ -247,9 +246,10 @@ class DiffusionRun:
         return data.with_kappa(self.task.spaces, present.kappa_values, present.stored)
 
     def solution(self, outcome: Outcome, **about: Any) -> Solution:
-        """The solution (collective)."""
+        """The solution, with the constant that was taken from u (collective)."""
         spaces = self.task.spaces
         data = self._data_found()
+        outcome.iterate.u.x.array[:] += self.constant
         trace = spaces.site_kinds["facet"].of(outcome.iterate.p) + self.data.psi_h
         if self.trace is not None:
             trace = self.trace + (self.data.psi_h - self.task.data.psi_h)  # the difference is the constant
@@ -271,9 +271,10 @@ class LinearRun(DiffusionRun):
     data: LinearData
 
     def solution(self, outcome: Outcome, **about: Any) -> LinearSolution:
-        """The solution (collective)."""
+        """The solution, with the constant that was taken from u (collective)."""
         spaces, iterate = self.task.spaces, outcome.iterate
         assert isinstance(iterate, LinearIterate)
+        iterate.u.x.array[:] += self.constant
         iterate.means[spaces.outer_sites] += self.constant
         self.kept.solved(outcome, self.task.present)
         return LinearSolution(
@@ -375,7 +376,8 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
     method = options.method
     if data.inside and not method.laws_inside:
         what = "an obstacle" if data.inside.is_obstacle else "laws in Ω"
-        raise InputError(f"{options.algorithm_name} does not take {what}; {those(lambda other: other.laws_inside)} do")
+        usable = methods_that(lambda other: other.laws_inside)
+        raise InputError(f"{options.algorithm_name} does not take {what}; {usable} do")
     if data.quasilinear is not None and (
         method.rule is None or method.rule.penalty is not None or options.backend != "hybrid"
     ):
@@ -385,7 +387,8 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
     if spaces.several and not method.takes_inner:
-        usable, what = those(lambda other: other.takes_inner), "pairs" if spaces.joints else "parts inside the domain"
+        usable = methods_that(lambda other: other.takes_inner)
+        what = "pairs" if spaces.joints else "parts inside the domain"
         raise InputError(f"{options.algorithm_name} does not take {what}; {usable} do")
     if spaces.joints and options.backend != "hybrid":
         raise InputError("[solve] backend: pairs take the hybrid one; leave it out")
@@ -398,7 +401,7 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
             )
     _check_size(options, spaces)
     if start is not None and not method.starts_from_sets:
-        usable = those(lambda other: other.starts_from_sets)
+        usable = methods_that(lambda other: other.starts_from_sets)
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; {usable} have them")
 
 

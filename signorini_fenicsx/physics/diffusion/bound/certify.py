@@ -263,7 +263,7 @@ def gap_parts(
 
 
 def _with_more(oscillation: Array, added: float, metric: CellMetric, comm: MPI.Comm) -> Array:
-    """osc_T such that osc grows by `more`, shared out by osc_T, or by volumes if osc = 0 (collective)."""
+    """osc_T such that osc grows by `added`, shared out by osc_T, or by volumes if osc = 0 (collective)."""
     total, volume = comm.allreduce(np.array([(oscillation**2).sum(), metric.volume.sum()])).tolist()
     if total > 0:
         return oscillation * (1 + added / np.sqrt(total))

@@ -7,7 +7,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.owned import cell_dofs
-from signorini_fenicsx.certificate.certify import FieldBound, joined
+from signorini_fenicsx.certificate.certify import FieldBound, bound_by_parts
 from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
@@ -20,20 +20,22 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
     goal = Goal.of(solution, for_signorini=True)
     comm = solution.spaces.mesh.comm
     with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
-        pair = Admissible.of(solution, goal)
-        certificate = summed(pair, gap_parts(pair, pair, goal))
+        solved = Admissible.of(solution, goal)
+        certificate = summed(solved, gap_parts(solved, solved, goal))
         field = _in_nodes(v)
         repaired = Admissible.of(solution, goal, field)
         parts = gap_parts(repaired, repaired, goal)
         of_repaired = summed(repaired, parts)
         to_bernstein(field)
-        of_field = replace(pair.trace, v=field, cells=pair.trace.cells[:0])
-        squares = pair.energies.squares(solution.data.driving(solution.cell_flux), of_field)
-        most = (np.sqrt(squares.most) + pair.off_b) ** 2
-        least = np.maximum(np.sqrt(squares.least) - pair.off_b, 0.0) ** 2
-        moved = np.sqrt(pair.energies.squares(None, repaired.trace, field).most) + parts.hidden + repaired.trace.lacking
+        of_field = replace(solved.trace, v=field, cells=solved.trace.cells[:0])
+        squares = solved.energies.squares(solution.data.driving(solution.cell_flux), of_field)
+        most = (np.sqrt(squares.most) + solved.off_b) ** 2
+        least = np.maximum(np.sqrt(squares.least) - solved.off_b, 0.0) ** 2
+        moved = (
+            np.sqrt(solved.energies.squares(None, repaired.trace, field).most) + parts.hidden + repaired.trace.lacking
+        )
     repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
-    return joined(solution, certificate, (most, least), pair.size, repair, of_repaired)
+    return bound_by_parts(solution, certificate, (most, least), solved.size, repair, of_repaired)
 
 
 def _in_nodes(v: fem.Function) -> fem.Function:

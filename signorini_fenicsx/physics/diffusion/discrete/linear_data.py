@@ -150,7 +150,7 @@ class LinearData(Data):
         return means
 
     def in_cells(self, spaces: LinearSpaces, sigma: Array, u: Array) -> tuple[Array, Array]:
-        """U less its reference and −s at the vertices of the owned cells, of fields as `FluxSystem` has them.
+        """U less its reference and −s at the vertices of the owned cells, of fields as `VertexSystem` has them.
 
         Collective. s is the linear function with (s, v) = (f − cu + ∇·σ, v) for all linear v.
 

@@ -25,8 +25,8 @@ from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, r
 from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.solve.flux_backend import FluxBackend
-from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
+from signorini_fenicsx.physics.diffusion.solve.vertex_system import VertexSystem
 
 
 class VertexBackend(DataBackend):
@@ -99,7 +99,7 @@ class LinearBackend(VertexBackend, FluxBackend):
 
     name = "hybrid RT1"
     spaces: LinearSpaces
-    system: FluxSystem
+    system: VertexSystem
     data: LinearData
 
     def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning | None = None):
@@ -116,7 +116,7 @@ class LinearBackend(VertexBackend, FluxBackend):
         sites = np.arange(len(spaces.site_kinds.unknown))
         near = sites.reshape(-1, spaces.dim).repeat(spaces.dim, axis=0)
         choose = partial(facet_solver, spaces, tuning)
-        FluxBackend.__init__(self, FluxSystem(spaces, data), spaces, data, data.fixed, (near, sites[:, None]), choose)
+        FluxBackend.__init__(self, VertexSystem(spaces, data), spaces, data, data.fixed, (near, sites[:, None]), choose)
         self.precise = self._corrected_to_rounding
         self._take(data)
 

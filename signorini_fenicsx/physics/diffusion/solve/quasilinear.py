@@ -75,14 +75,14 @@ class QuasiLinear:
     Attributes:
         backend: Solves with its κ; with its `tangent` it makes Newton's steps.
         loop: The loop over the sets.
-        changes: Gets how κ changed with the solution of each problem under a fixed κ.
         near: A u to begin with, at the vertices of the owned cells; None for saturated soil.
+        changes: How κ changed with the solution of each problem under a fixed κ.
     """
 
     backend: Any
     loop: Loop
-    changes: list[KappaChange]
     near: Array | None = None
+    changes: list[KappaChange] = field(default_factory=list)
     _tried: list[tuple[Array, Array]] = field(default_factory=list)
     _solves: int = 0
     _by_newton: bool = False

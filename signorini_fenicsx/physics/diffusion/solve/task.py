@@ -19,12 +19,25 @@ from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.solve.hybrid import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
-from signorini_fenicsx.physics.diffusion.solve.quasilinear import KappaChange, QuasiLinear
+from signorini_fenicsx.physics.diffusion.solve.quasilinear import QuasiLinear
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, kkt_residuals
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_sites
 
 COARSENING_IN_CELLS = 2.0
 """Mesh size of the coarser mesh of a prediction with laws in Ω, divided by that of the finer mesh."""
+
+
+@dataclass
+class LastRun:
+    """What the last run has left where κ depends on u.
+
+    Attributes:
+        data: The data with its κ; None before there is one.
+        failed: Of a step with soils how it has failed: half a step is better than a cold start. None if it has not.
+    """
+
+    data: Data | None = None
+    failed: Outcome | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,36 +46,31 @@ class DiffusionTask(Task):
 
     Attributes:
         alone: Gives what runs a method that only diffusion has, by its name there.
-        last: Where κ depends on u the data with the κ of the last run.
-        changes: How κ changed with each problem of the last run, see `QuasiLinear`.
-        failed: Of a step with soils how it has failed: half a step is better than a cold start.
+        last_run: What the last run has left where κ depends on u.
     """
 
     spaces: Spaces
     data: Data
     alone: Callable[[str], Callable[..., Outcome]]
     start: Segments | None = None
-    last: list[Data] = field(default_factory=list)
-    changes: list[KappaChange] = field(default_factory=list)
-    failed: list[Outcome] = field(default_factory=list)
+    last_run: LastRun = field(default_factory=LastRun)
 
     @property
     def present(self) -> Data:
         """The data, where κ depends on u with the one that was found."""
-        return self.last[-1] if self.last else self.data
+        return self.last_run.data or self.data
 
     def solved(self, backend: Any, loop: Loop) -> Outcome:
         """Run the loop, once for each κ where it depends on u (collective)."""
         if self.data.quasilinear is None:
             return loop()
-        if self.failed:
-            return self.failed[-1]
-        self.changes.clear()
+        if self.last_run.failed is not None:
+            return self.last_run.failed
         u = None if self.start is None else self.start.u_on(self.spaces)
-        outcome = QuasiLinear(backend, loop, self.changes, u).solved()
-        self.last[:] = [backend.data]
+        outcome = QuasiLinear(backend, loop, u).solved()
+        self.last_run.data = backend.data
         if self.data.stored is not None and not outcome.converged:
-            self.failed.append(outcome)
+            self.last_run.failed = outcome
         return outcome
 
     def is_large(self, _backend: object) -> bool:

@@ -12,7 +12,7 @@ these loads. Then
 f − f_h is orthogonal to the linear fields on each cell T, as f_h has its moments against them, and g_N − Π₁g_N to those
 on each facet e. So |(f − f_h, w)_T| ≤ C_T ‖f − f_h‖_T |w|_T, where C_T is the constant c_T of `korn` times the root of
 the largest eigenvalue of 𝔸; likewise |⟨g_N − Π₁g_N, w⟩_e| with that of a facet. With w = u − ũ this gives |u − ũ| ≤
-osc, as in `certify`, where osc² sums the squares over the cells, and
+osc, as in the proof of the scalar bound, where osc² sums the squares over the cells, and
 
     |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
 
@@ -148,8 +148,8 @@ def _displacement(
     """The best displacement on the split mesh or a part of it (collective).
 
     Returns:
-        It, what it makes of 2 gap on each owned cell, `slipping`, and where it passes the foundation; empty if it does
-        not.
+        The displacement, what it makes of 2 gap on each owned cell, how long it slips on each facet with friction, and
+        where it passes the foundation; empty if it does not.
     """
     spaces = solution.spaces
     problem = BestDisplacement(spaces, solution.data, y, split, degree, v)

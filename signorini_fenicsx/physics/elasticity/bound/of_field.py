@@ -5,7 +5,7 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.certificate.certify import FieldBound, joined
+from signorini_fenicsx.certificate.certify import FieldBound, bound_by_parts
 from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.elasticity.bound.certify import certificate_of
@@ -39,4 +39,4 @@ def field_bound(solution: ElasticSolution, v: fem.Function) -> FieldBound:
     at_subcells[:, :, :dim] = in_order[:, opposite(dim)]
     at_subcells[:, :, dim] = stress[:, None, dim + 1]
     squares = np.maximum(energy_squares(spaces, data, at_subcells - solution.stresses), 0.0)
-    return joined(solution, certificate, (squares, squares), solution.norms()["energy"])
+    return bound_by_parts(solution, certificate, (squares, squares), solution.norms()["energy"])

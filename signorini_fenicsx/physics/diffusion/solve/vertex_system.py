@@ -1,4 +1,4 @@
-"""The hybrid system of RT1: one SPD problem for û in P1 on facets, and σ and u recovered from it."""
+"""The hybrid system of RT1: one SPD problem for û at the vertices of facets, and σ and u recovered from it."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -25,7 +25,7 @@ from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.solve.soil_traces import SoilTraces
 
 
-class FluxSystem(SoilTraces, HybridSystem):
+class VertexSystem(SoilTraces, HybridSystem):
     """The hybrid system of RT1, assembled once.
 
     Attributes:
