@@ -16,15 +16,12 @@ from typing import Annotated
 import numpy as np
 import scipy.sparse as sp
 import typer
-from mpi4py import MPI
-from petsc4py import PETSc
-from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, eliminate, responses
 from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
-from signorini_fenicsx.linear.petsc import set_direct
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, regular_simplex, stretch
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
@@ -161,7 +158,9 @@ def _system_of_traces(
     cell, local = divmod(int(np.argmin(blocks)), dim + 1)  # where the first facet is
     block = slice(local * dim**2, (local + 1) * dim**2)
     matrices[cell, block, block] += held @ held.T
-    return facets, blocks.ravel(), unknowns, _solver(_assembled(matrices, unknowns, unknowns))
+    matrix, symmetric = _assembled(matrices, unknowns, unknowns).tocsc(), {"SymmetricMode": True}
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    return facets, blocks.ravel(), unknowns, factors.solve
 
 
 def _largest(vertices: Array, measures: Array, response: Callable[[Array], Array]) -> float:
@@ -195,23 +194,6 @@ def _assembled(blocks: Array, rows: Indices, columns: Indices) -> sp.csr_array:
     shape = blocks.shape
     places = np.broadcast_to(rows[:, :, None], shape).ravel(), np.broadcast_to(columns[:, None, :], shape).ravel()
     return sp.coo_array((blocks.ravel(), places)).tocsr()
-
-
-def _solver(matrix: sp.csr_array) -> Callable[[Array], Array]:
-    """By a factorisation of an SPD matrix."""
-    rows = matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data
-    petsc = PETSc.Mat().createAIJ(matrix.shape, csr=rows, comm=MPI.COMM_SELF)
-    solver = PETSc.KSP().create(MPI.COMM_SELF)
-    solver.setOperators(petsc)
-    set_direct(solver, "cholesky")
-    x, right = petsc.createVecs()
-
-    def solve(values: Array) -> Array:
-        right.array[:] = values
-        solver.solve(right, x)
-        return x.array.copy()
-
-    return solve
 
 
 def _rigid(points: Array) -> Array:
@@ -279,9 +261,8 @@ class Loaded:
         values = self._orthogonal(self.mesh.vertices, cells.measure, hats)
         scaled = total(values[..., None, :] * hats, axis=-1)
         moments = scaled * cells.measure[:, None]
-        size = (*values.lo.shape, dim)
         none = enclosing(np.zeros((len(values.lo) * dim, *self.inside.shape, dim, dim)))
-        return none, self._by_component(moments, size), self._products(values, moments)
+        return none, self._by_component(moments), self._products(values, moments)
 
     def tractions(self) -> tuple[Interval, Interval, Interval]:
         """Likewise of tractions on the facet where the last coordinate is 0."""
@@ -292,14 +273,13 @@ class Loaded:
         share = enclosing(np.full(len(cell), 1.0))
         values = self._orthogonal(corners[cell, local][..., :-1], share, hats)  # those of q on each facet
         scaled = total(values[..., None, :] * hats, axis=-1)
-        size = (*values.lo.shape, dim)
-        on_facets = self._by_component(values, size)
-        pulls = np.zeros((2, len(on_facets.lo), *self.inside.shape, dim, dim))
-        pulls[0][:, cell, local], pulls[1][:, cell, local] = on_facets.lo, on_facets.hi
+        on_facets = self._by_component(values)
+        pulls = enclosing(np.zeros((len(on_facets.lo), *self.inside.shape, dim, dim)))
+        pulls = pulls.put((slice(None), cell, local), on_facets)
         none = enclosing(np.zeros((len(on_facets.lo), *mesh.vertices.shape)))
         measure = {2: enclosing(1.0), 3: root(enclosing(3.0)) / 4.0}[dim] / float(len(cell))  # |e| of each facet
         volume = {2: root(enclosing(3.0)) / 2.0, 3: root(enclosing(2.0)) / 2.0}[dim]  # the determinant of the map
-        return Interval(*pulls), none, self._products(values, scaled) * (volume / measure)
+        return pulls, none, self._products(values, scaled) * (volume / measure)
 
     def _orthogonal(self, places: Array, share: Interval, hats: Array) -> Interval:
         """A basis of the functions, linear on simplices, orthogonal to linear ones: (basis, simplices, vertices)."""
@@ -307,41 +287,32 @@ class Loaded:
         linear = np.concatenate([np.ones((count, corners, 1)), places], axis=2)
         weighted = total(enclosing(hats[..., None]) * linear[:, None], axis=2) * share[:, None, None]
         gram = total(total(weighted[..., None] * linear[:, :, None], axis=0), axis=0)
-        flat = Interval(*(each.reshape(count * corners, -1) for each in (weighted.lo, weighted.hi)))
-        own = flat[corners:]
-        shares = solved(Interval(*(np.broadcast_to(e, (len(own.lo), *e.shape)) for e in (gram.lo, gram.hi))), own)
+        others = weighted.reshape(count * corners, -1)[corners:]
+        shares = solved(gram.on((len(others.lo), *gram.lo.shape)), others)
         part = total(shares[:, None, None] * linear)
         unit = np.eye(count * corners)[corners:].reshape(-1, count, corners)
         return enclosing(unit) - part
 
-    def _by_component(self, values: Interval, size: tuple[int, ...]) -> Interval:
+    def _by_component(self, values: Interval) -> Interval:
         """Each function in each component: (basis and component, simplices, vertices, d)."""
-        by_component = np.zeros((2, size[0], self.dim, *size[1:]))
-        for k in range(self.dim):
-            by_component[0][:, k, ..., k], by_component[1][:, k, ..., k] = values.lo, values.hi
-        return Interval(*by_component.reshape(2, -1, *size[1:]))
+        components = values[:, None, :, :, None] * np.eye(self.dim)[:, None, None, :]
+        return components.reshape(-1, *components.lo.shape[2:])
 
     def _products(self, values: Interval, weighted: Interval) -> Interval:
         """(v, v') of all pairs, after the map."""
         number = len(values.lo)
-        one, other = (Interval(*(x.reshape(number, -1) for x in (each.lo, each.hi))) for each in (values, weighted))
-        scalar = product(one, Interval(other.lo.T, other.hi.T))
+        scalar = product(values.reshape(number, -1), transposed(weighted.reshape(number, -1)))
         metric = total(self.map[:, :, None] * self.map[:, None], axis=0)
-        lo, hi = (np.empty((number, self.dim, number, self.dim)) for _ in range(2))
-        for i in range(self.dim):
-            for j in range(self.dim):
-                block = scalar * metric[i, j]
-                lo[:, i, :, j], hi[:, i, :, j] = block.lo, block.hi
-        return Interval(*(each.reshape(number * self.dim, -1) for each in (lo, hi)))
+        return (scalar[:, None, :, None] * metric[None, :, None, :]).reshape(number * self.dim, -1)
 
     def constant(self, pulls: Interval, moments: Interval, norms: Interval) -> float:
         """A proved bound of the root of the largest (τ(v), τ(v))/(v, v)."""
         energies = self._energies(self._stresses(pulls, moments))
-        energy, norm = ((each.lo + each.hi) / 2 for each in (energies, norms))
+        energy, norm = middle(energies), middle(norms)
         lower = np.linalg.inv(np.linalg.cholesky(norm))
         most = float(np.linalg.eigvalsh(lower @ energy @ lower.T).max()) * LARGER**2
         left = norms * most - energies
-        basis = np.linalg.inv(np.linalg.cholesky((left.lo + left.hi) / 2)).T
+        basis = np.linalg.inv(np.linalg.cholesky(middle(left))).T
         unit = product(enclosing(basis.T), product(left, enclosing(basis)))
         off = (unit - np.eye(len(basis))).largest.sum(axis=1).max() * (1 + 1e-9)
         assert off < 1
@@ -374,15 +345,14 @@ class Loaded:
             along_tree(mesh, closed, roots, pulls[n] + near[n], wrench_of_moments(x, moments[n], origin), origin)
             for n in range(len(near))
         ]
-        return self._of(Interval(*(np.stack([getattr(each, end) for each in exact]) for end in ("lo", "hi"))), moments)
+        return self._of(stacked(exact, axis=0), moments)
 
     def _of(self, pulls: Interval, moments: Interval) -> Interval:
         """The stresses with these tractions and moments, for each load."""
         count, cells = len(pulls.lo), len(self.mesh.vertices)
         repeated = self.cells.some(np.tile(np.arange(cells), count))
-        flat = [Interval(*(x.reshape(-1, *x.shape[2:]) for x in (each.lo, each.hi))) for each in (pulls, moments)]
-        stresses = stresses_of(repeated, *flat)
-        return Interval(*(x.reshape(count, cells, *x.shape[1:]) for x in (stresses.lo, stresses.hi)))
+        stresses = stresses_of(repeated, *(each.reshape(-1, *each.lo.shape[2:]) for each in (pulls, moments)))
+        return stresses.reshape(count, cells, *stresses.lo.shape[1:])
 
     def _floats(self, pulls: Interval, moments: Interval) -> tuple[Array, Array]:
         """Vectors whose squares are the energies of stresses, and forces and moments on all cells, per load."""
@@ -391,12 +361,12 @@ class Loaded:
         entries = self._mapped(y)
         size = dim + 1
         hats = np.linalg.cholesky((1 + np.eye(size)) / (size * (size + 1)))
-        vectors = np.einsum("ncsve,vw->ncswe", (entries.lo + entries.hi) / 2, hats)
+        vectors = np.einsum("ncsve,vw->ncswe", middle(entries), hats)
         x = enclosing(self.mesh.vertices)
         on_facets = x[slice(None), opposite(dim)]
         wrench = total(wrenches(on_facets, pulls, origin), axis=2) + wrench_of_moments(x, moments, origin)
         scale = np.sqrt(self.cells.measure.hi[0] / size)
-        return vectors.reshape(count, -1) * scale, ((wrench.lo + wrench.hi) / 2).reshape(count, -1)
+        return vectors.reshape(count, -1) * scale, middle(wrench).reshape(count, -1)
 
     def _mapped(self, y: Interval) -> Interval:
         """The entries of AyAᵀ, those off the diagonal times √2, shape (…, entries)."""
@@ -414,15 +384,24 @@ class Loaded:
         hats = (1 + np.eye(size)) / (size * (size + 1))
         columns = [total(entries * hats[v][:, None], axis=-2) for v in range(size)]
         weighted = stacked(columns, axis=-2) * (self.cells.measure / float(size))[:, None, None, None]
-        one, other = (Interval(*(x.reshape(len(x), -1) for x in (each.lo, each.hi))) for each in (entries, weighted))
-        return product(one, Interval(other.lo.T, other.hi.T))
+        count = len(entries.lo)
+        return product(entries.reshape(count, -1), transposed(weighted.reshape(count, -1)))
+
+
+def middle(a: Interval) -> Array:
+    """The middles of intervals."""
+    return (a.lo + a.hi) / 2
+
+
+def transposed(a: Interval) -> Interval:
+    """The transposed matrix."""
+    return Interval(a.lo.T, a.hi.T)
 
 
 def product(a: Interval, b: Interval) -> Interval:
     """The product of matrices, by middles and radii: a sum of n products in floats is wrong by n units of its terms."""
-    (x, y), (r, s) = ((each.lo + each.hi) / 2 for each in (a, b)), ((each.hi - each.lo) * 0.500001 for each in (a, b))
+    (x, y), (r, s) = map(middle, (a, b)), ((each.hi - each.lo) * 0.500001 for each in (a, b))
     r, s = r + np.abs(x) * 1e-15, s + np.abs(y) * 1e-15
     length = (x.shape[1] + 4) * np.finfo(float).eps
     radius = (np.abs(x) @ s + r @ (np.abs(y) + s) + length * (np.abs(x) @ np.abs(y))) * (1 + 1e-9)
-    middle = x @ y
-    return Interval(middle - radius * (1 + 1e-9), middle + radius * (1 + 1e-9))
+    return Interval(x @ y - radius * (1 + 1e-9), x @ y + radius * (1 + 1e-9))
