@@ -177,7 +177,7 @@ def compiled(
     options = dolfinx.jit.get_options(jit_options)
     if "cache_dir" not in (jit_options or {}):
         options["cache_dir"] = Path(options["cache_dir"]) / OWN
-    signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
+    signature = ffcx.naming.compute_signature([_exact(ufl_object)], str((form_compiler_options, options)))
     cache = options["cache_dir"]
 
     def work(timeout: int) -> Any:
@@ -195,6 +195,14 @@ def compiled(
     if failures:
         raise failures[0]
     return module
+
+
+def _exact(ufl_object: Any) -> Any:
+    """The object with its points by their bytes: FFCx would take what NumPy prints, which is slow, rounded and cut."""
+    if not isinstance(ufl_object, tuple):
+        return ufl_object
+    expr, points = ufl_object
+    return expr, (points.shape, points.tobytes())
 
 
 @cache  # both libraries read their files once too
