@@ -139,7 +139,7 @@ class TraceBackend(DataBackend):
             if laws.chains.plain:  # there p' is p
                 continue
             segment = laws.chains.segments(kind.of(conditions))
-            kind.of(p)[:] = laws.own(segment, kind.of(p), kind.of(flux))
+            kind.of(p)[:] = laws.openings(segment, kind.of(p), kind.of(flux))
         return conditions.clean(p, flux, self.conductance)
 
     @property
@@ -170,7 +170,7 @@ class TraceBackend(DataBackend):
             kind.of(flux)[:] += springs.pressure(kind.of(np.broadcast_to(p, flux.shape)))
         return np.asarray(self._signs * self._trace_measures * flux)
 
-    def openings(self, x: PETSc.Vec) -> Array:
+    def means(self, x: PETSc.Vec) -> Array:
         """The means of p at the sites."""
         return np.asarray(self._signs * x.array_r[self._unknowns])
 
@@ -180,7 +180,7 @@ class TraceBackend(DataBackend):
 
     def left_at_sites(self, posed: Posed, x: PETSc.Vec, left: Array) -> None:
         """Add what acts at the sites in this solution to what forces of σ leave, in place."""
-        left[self._unknowns] += self.given_forces(posed, self.openings(x))
+        left[self._unknowns] += self.given_forces(posed, self.means(x))
 
     def after_solve(self, posed: Posed, *, ended: bool) -> bool:
         """What is done with x after each solve, which may have ended; whether it has then (collective)."""
@@ -272,7 +272,7 @@ class TraceBackend(DataBackend):
 
     def _site_pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """`SitePairs.p` and `SitePairs.flux`, the latter as what is left of the rows of the sites (collective)."""
-        return self.cleaned(conditions, self.openings(x), self.flux(x, self.system.load))
+        return self.cleaned(conditions, self.means(x), self.flux(x, self.system.load))
 
     def flux(self, x: PETSc.Vec, load: Array) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""

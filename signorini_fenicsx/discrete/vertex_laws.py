@@ -85,7 +85,7 @@ class VertexLaws:
         fluxes = self.chains.ends[1]
         return fluxes[:, 1:], fluxes[:, :-1]
 
-    def own(self, segment: Indices, means: Array, pressure: Array) -> Array:
+    def openings(self, segment: Indices, means: Array, pressure: Array) -> Array:
         """The openings p' from the means p. On a flat segment they make its ends those of the graph."""
         return self._moved(segment, means, pressure, inverse=False)
 

@@ -156,7 +156,7 @@ def cut_as_needed(
     """
 
     def look(parts: Parts) -> tuple[Array, ...]:
-        begins = range(0, max(len(parts.own), 1), CHUNK)
+        begins = range(0, max(len(parts.simplex), 1), CHUNK)
         chunks = [looked(parts.take(slice(begin, begin + CHUNK))) for begin in begins]
         return tuple(np.concatenate(each) for each in zip(*chunks, strict=True))
 
@@ -174,7 +174,7 @@ def cut_as_needed(
             return parts, of_parts
         first, second = cuts[chosen, :2].astype(np.int64).T
         halves = parts.take(chosen).cut(first, second, cuts[chosen, 2])
-        left -= comm.allreduce(len(halves.own))
+        left -= comm.allreduce(len(halves.simplex))
         parts = parts.take(~chosen).and_(halves)
         of_parts, cuts = (
             np.concatenate([old[~chosen], new]) for old, new in zip((of_parts, cuts), look(halves), strict=True)
@@ -183,7 +183,7 @@ def cut_as_needed(
 
 def halving(parts: Parts) -> Array:
     """Cuts through the middle of the longest edges: the numbers of their vertices, and the share of it at the first."""
-    return np.column_stack([*parts.longest(), np.full(len(parts.own), 0.5)])
+    return np.column_stack([*parts.longest(), np.full(len(parts.simplex), 0.5)])
 
 
 def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:

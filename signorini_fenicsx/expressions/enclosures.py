@@ -115,8 +115,8 @@ def means(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, 
 
     def need(parts: Parts, of_parts: Array) -> Array:
         width = parts.share * of_parts[:, 1]
-        of_simplex = np.bincount(parts.own, np.where(np.isfinite(width), width, 0.0), number)[parts.own]
-        return np.where(np.isfinite(width), weight[parts.own] * width * of_simplex, np.inf)
+        of_simplex = np.bincount(parts.simplex, np.where(np.isfinite(width), width, 0.0), number)[parts.simplex]
+        return np.where(np.isfinite(width), weight[parts.simplex] * width * of_simplex, np.inf)
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need)
     middle, radius, square = parts.sums(np.column_stack([of_parts[:, :2], of_parts[:, 2] ** 2]), number)
@@ -162,11 +162,11 @@ def moments(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame
 
     def look(parts: Parts, remainder: Remainder) -> Array:
         (x, rule, d), rho = _left(tree, p, vertices, parts), 2 * remainder.distance()
-        hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.own, None], slopes[parts.own])
+        hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.simplex, None], slopes[parts.simplex])
         return np.column_stack([rho**2, (np.sqrt(d**2 @ rule) + rho) ** 2, np.einsum("nq,q,nqv->nv", d, rule, hats)])
 
     def need(parts: Parts, of_parts: Array) -> Array:
-        return np.asarray(weight[parts.own] * parts.share * of_parts[:, 0])
+        return np.asarray(weight[parts.simplex] * parts.share * of_parts[:, 0])
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need)
     unsure, square, *of_hats = parts.sums(of_parts, number)
@@ -215,8 +215,9 @@ def tilts(
         return np.stack([norm, steep, steep - seen[1] ** 2], axis=1)
 
     def need(parts: Parts, of_parts: Array) -> Array:
-        steep, excess = (np.bincount(parts.own, parts.share * column, number) for column in of_parts[:, 1:].T)
-        return np.where((excess <= close * steep)[parts.own], 0.0, weight[parts.own] * parts.share * of_parts[:, 2])
+        steep, excess = (np.bincount(parts.simplex, parts.share * column, number) for column in of_parts[:, 1:].T)
+        shares = weight[parts.simplex] * parts.share
+        return np.where((excess <= close * steep)[parts.simplex], 0.0, shares * of_parts[:, 2])
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need, rough=False)
     norm, tilt, _ = np.sqrt(parts.sums(of_parts, number))
@@ -243,7 +244,7 @@ def shown(tree: Tree, vertices: Array, p: Quadratic | Polynomial, degree: int) -
     for begin in range(0, len(vertices), CHUNK):
         parts = everything.take(slice(begin, begin + CHUNK))
         x, weights = in_points(parts.vertices, degree)
-        squares[:, parts.own] = _squares(tree, p, vertices, parts, x) @ weights
+        squares[:, parts.simplex] = _squares(tree, p, vertices, parts, x) @ weights
     return np.sqrt(squares)
 
 
@@ -251,7 +252,7 @@ def _squares(tree: Tree, p: Quadratic | Polynomial, vertices: Array, parts: Part
     """The squares of d and of |∇d| along simplices in points of parts of them, shape (2, parts, points)."""
     value, gradient = values_and_gradient(tree, x)
     if vertices.shape[1] <= vertices.shape[2]:
-        edges = (vertices[:, 1:] - vertices[:, :1])[parts.own]
+        edges = (vertices[:, 1:] - vertices[:, :1])[parts.simplex]
         gradient = gradient @ np.linalg.pinv(edges) @ edges
     jets = _of_simplices(p, vertices, parts, x)
     return np.stack([(value - jets[:, :, 0]) ** 2, ((gradient - jets[:, :, 1:]) ** 2).sum(axis=2)])
@@ -303,13 +304,13 @@ def ranges(
 
     everything = Parts(vertices, np.arange(number), np.ones(number))
     enclosed = _bounds(tree, p, vertices, everything, np.zeros(number))
-    rho = distances(tree, vertices, frame, np.maximum(-lacking(everything.own, enclosed), 0.0) / BESIDE, 2)
+    rho = distances(tree, vertices, frame, np.maximum(-lacking(everything.simplex, enclosed), 0.0) / BESIDE, 2)
     enclosed[:, 0] -= BESIDE * rho
     enclosed[:, 1] += BESIDE * rho
-    unclear = ~(lacking(everything.own, enclosed) <= 0)
+    unclear = ~(lacking(everything.simplex, enclosed) <= 0)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        of_all = Parts(parts.vertices, rows[parts.own], parts.share)
+        of_all = Parts(parts.vertices, rows[parts.simplex], parts.share)
         bounds = _bounds(tree, p, vertices, of_all, remainder.distance(2))
         if p is None:
             bounds[:, 0] = np.fmax(bounds[:, 0], remainder.value.lo)
@@ -317,13 +318,13 @@ def ranges(
         return bounds
 
     def need(parts: Parts, bounds: Array) -> Array:
-        size = lacking(rows[parts.own], bounds)
+        size = lacking(rows[parts.simplex], bounds)
         return np.where(size <= 0, 0.0, 1 + size)
 
     rows = np.flatnonzero(unclear)
     parts, of_parts = in_parts([tree], vertices[unclear], frame, look, need)
     of_parts[:, :2] = np.where(np.isnan(of_parts[:, :2]), [-np.inf, np.inf], of_parts[:, :2])
-    own, least = rows[parts.own], of_parts[:, 2]
+    own, least = rows[parts.simplex], of_parts[:, 2]
     enclosed[rows, 0], enclosed[rows, 1] = np.inf, -np.inf
     np.minimum.at(enclosed[:, 0], own, of_parts[:, 0])
     np.maximum.at(enclosed[:, 1], own, of_parts[:, 1])
@@ -355,7 +356,7 @@ def _bounds(tree: Tree, p: Quadratic | None, vertices: Array, parts: Parts, rho:
 def _less(near: Quadratic, p: Quadratic, vertices: Array, parts: Parts) -> Quadratic:
     """The difference of quadratics of parts and those of their simplices."""
     middle = parts.vertices.mean(axis=1, keepdims=True)
-    jet, hessian = _of_simplices(p, vertices, parts, middle)[:, 0], p.hessian[parts.own]
+    jet, hessian = _of_simplices(p, vertices, parts, middle)[:, 0], p.hessian[parts.simplex]
     return Quadratic(near.value - jet[:, 0], near.gradient - jet[:, 1:], near.hessian - hessian)
 
 
@@ -373,11 +374,11 @@ def _rule(corners: int, degree: int) -> tuple[Array, Array]:
 
 def _of_simplices(p: Quadratic | Polynomial, vertices: Array, parts: Parts, x: Array) -> Array:
     """Values and gradients in points x of parts of the quadratics of their simplices."""
-    return p.of(parts.own).at(x - vertices.mean(axis=1)[parts.own, None])
+    return p.of(parts.simplex).at(x - vertices.mean(axis=1)[parts.simplex, None])
 
 
 def _place(parts: Parts, uncertainty: Array, vertices: Array) -> Array:
     """The centroid of the part of each simplex that adds most to the uncertainty."""
     place, order = vertices.mean(axis=1), np.argsort(uncertainty, kind="stable")
-    place[parts.own[order]] = parts.vertices[order].mean(axis=1)
+    place[parts.simplex[order]] = parts.vertices[order].mean(axis=1)
     return place

@@ -75,7 +75,7 @@ def products(
     def look(parts: Parts) -> Array:
         """Means of ew, |ew|, e² and w² by quadrature."""
         x, weights = in_points(parts.vertices, rule)
-        e, of_w = values(tree, x), w(parts.own, x)
+        e, of_w = values(tree, x), w(parts.simplex, x)
         return np.stack([each @ weights for each in (e * of_w, np.abs(e * of_w), e**2, of_w**2)], axis=1)
 
     seen = np.zeros((number, 4))
@@ -94,11 +94,11 @@ def products(
         norm, radius = norm + 2 * rho, 2 * rho * np.sqrt(of_w)
 
         def of_rest(parts: Parts, remainder: Remainder) -> Array:
-            seen, rho = look(Parts(parts.vertices, rough[parts.own], parts.share)), 2 * remainder.distance()
+            seen, rho = look(Parts(parts.vertices, rough[parts.simplex], parts.share)), 2 * remainder.distance()
             return np.column_stack([seen[:, :2], rho * np.sqrt(seen[:, 3]), (np.sqrt(seen[:, 2]) + rho) ** 2])
 
         def need(parts: Parts, of_parts: Array) -> Array:
-            return np.asarray(measure[rough[parts.own]] * parts.share * of_parts[:, 2] / enough)
+            return np.asarray(measure[rough[parts.simplex]] * parts.share * of_parts[:, 2] / enough)
 
         parts, of_parts = in_parts([tree], vertices[rough], frame, of_rest, need)
         middle[rough], size[rough], radius[rough], squares = parts.sums(of_parts, len(rough))

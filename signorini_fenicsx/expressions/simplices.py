@@ -165,15 +165,21 @@ TINY = 1e-300
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts of simplices: their vertices, the number of their simplex, and their share of its measure."""
+    """Parts of simplices.
+
+    Attributes:
+        vertices: Those of the parts, shape (parts, k + 1, d).
+        simplex: The number of the simplex of which each is a part.
+        share: Its share of the measure of that simplex.
+    """
 
     vertices: Array
-    own: Indices
+    simplex: Indices
     share: Array
 
     def within(self, simplices: Array) -> Places:
         """The places of the parts; `simplices` has the vertices of all simplices."""
-        whole = simplices[self.own]
+        whole = simplices[self.simplex]
         generations = -np.log2(self.share)
         pad = ((generations + 4) * np.spacing(np.abs(whole).max(axis=(1, 2))))[:, None]
         lo = np.maximum(self.vertices.min(axis=1) - pad, whole.min(axis=1))
@@ -183,18 +189,18 @@ class Parts:
 
     def take(self, which: slice | Mask) -> Parts:
         """A selection of the parts."""
-        return Parts(self.vertices[which], self.own[which], self.share[which])
+        return Parts(self.vertices[which], self.simplex[which], self.share[which])
 
     def and_(self, other: Parts) -> Parts:
         """The parts of both."""
-        pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "own", "share")]
+        pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "simplex", "share")]
         return Parts(*(np.concatenate(pair) for pair in pairs))
 
     def sums(self, columns: Array, number: int) -> Array:
         """Sums of columns times shares over the parts of so many simplices, shape (columns, number); ∞ for NaN."""
         shares = self.share[:, None] * columns
         shares[np.isnan(shares)] = np.inf
-        return np.stack([np.bincount(self.own, column, number) for column in shares.T])
+        return np.stack([np.bincount(self.simplex, column, number) for column in shares.T])
 
     def longest(self) -> tuple[Indices, Indices]:
         """The longest edge of each part, by the numbers of its vertices."""
@@ -211,11 +217,11 @@ class Parts:
         pieces[0][rows, second] = middle
         pieces[1][rows, first] = middle
         share = np.concatenate([self.share * place, self.share * (1 - place)])
-        return Parts(np.concatenate(pieces), np.tile(self.own, 2), share)
+        return Parts(np.concatenate(pieces), np.tile(self.simplex, 2), share)
 
     def halves(self) -> Parts:
         """Both halves of each part."""
-        return self.cut(*self.longest(), np.full(len(self.own), 0.5))
+        return self.cut(*self.longest(), np.full(len(self.simplex), 0.5))
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def _about(solution: Solved) -> dict[str, Any]:
         **{key: getattr(solution.outcome, key) for key in OUTCOME},
         **{key: getattr(solution, key) for key in COSTS},
         **({} if physics == DIFFUSION else {"physics": physics}),
-        **{name: list(getattr(solution, name)) for name in PHYSICS[physics].keeping.own},
+        **{name: list(getattr(solution, name)) for name in PHYSICS[physics].keeping.numbers},
         **({"step": solution.step} if in_time else {}),
     }
 
@@ -229,7 +229,7 @@ def _stored(checkpoint: Checkpoint, problem: Any, options: Options, rows: Indice
         about={"problem": problem, "options": options, "step": about.step}
         | {"name": about.name, "title": checkpoint.title, "source": checkpoint.case}
         | {key: getattr(about, key) for key in COSTS},
-        own=checkpoint.own,
+        numbers=checkpoint.numbers,
         step=about.step,
     )
 

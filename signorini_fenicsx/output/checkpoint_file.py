@@ -93,7 +93,7 @@ class About(BaseModel):
         step: Number of the step of a case in time; None for others.
     """
 
-    model_config = ConfigDict(strict=True, extra="allow")  # with what `Keeping.own` names
+    model_config = ConfigDict(strict=True, extra="allow")  # with what `Keeping.numbers` names
 
     name: str
     physics: str = DIFFUSION
@@ -156,13 +156,13 @@ class Checkpoint:
         return self.keeping.boundary(given.signorini, **{name: getattr(given, name) for name in others})
 
     @property
-    def own(self) -> dict[str, list[float]]:
+    def numbers(self) -> dict[str, list[float]]:
         """The lists of numbers that its physics keeps.
 
         Raises:
             InputError: If they are something else.
         """
-        numbers = {name: (self.about.model_extra or {}).get(name, []) for name in self.keeping.own}
+        numbers = {name: (self.about.model_extra or {}).get(name, []) for name in self.keeping.numbers}
         for name, values in numbers.items():
             if not isinstance(values, list) or not all(isinstance(value, int | float) for value in values):
                 raise InputError(f"{self.path}: not a readable solution ({name} is no list of numbers)")

@@ -103,7 +103,7 @@ def enclose(
 
     def need(parts: Parts, known: Array) -> Array:
         """All of the worst parts of simplices that are not done, nothing of the others."""
-        own, gap = parts.own, parts.share * (known[:, above] - known[:, below])
+        own, gap = parts.simplex, parts.share * (known[:, above] - known[:, below])
         left, upper = (np.bincount(own, each, number) for each in (gap, parts.share * known[:, above]))
         if is_mean:
             needy = ~(left <= tolerance)
@@ -128,12 +128,12 @@ square of d and of |∇d|; |d|, |∇d|, |∇d·e|; the range of e."""
 
 def _boxes(parts: Parts, number: int) -> Indices:
     """How many boxes have been looked at for each of so many simplices."""
-    return np.asarray(2 * np.bincount(parts.own, minlength=number) - 1)
+    return np.asarray(2 * np.bincount(parts.simplex, minlength=number) - 1)
 
 
 def _summed(parts: Parts, known: Array, vertices: Array) -> Enclosure:
     """The sums over parts, enlarged by their rounding; there are at most as many additions as boxes."""
-    own, number = parts.own, len(vertices)
+    own, number = parts.simplex, len(vertices)
     rounding = _boxes(parts, number) * 2.0**-52
     names = (MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)
     mean_lo, mean_hi, mean, *squares = (np.bincount(own, parts.share * known[:, name], number) for name in names)
@@ -162,14 +162,14 @@ def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, elementary:
     e = evaluated(tree, places, elementary)
 
     # p in the centres, and its changes from there
-    gradient, hessian = p.gradient[parts.own], p.hessian[parts.own]
+    gradient, hessian = p.gradient[parts.simplex], p.hessian[parts.simplex]
     steepness, curvature = np.abs(gradient), np.abs(hessian)
-    offset = places.centre - simplices[parts.own].mean(axis=1)
+    offset = places.centre - simplices[parts.simplex].mean(axis=1)
     bend = np.einsum("nij,nj->ni", hessian, offset)
-    value = p.value[parts.own] + ((gradient + bend / 2) * offset).sum(axis=1)
+    value = p.value[parts.simplex] + ((gradient + bend / 2) * offset).sum(axis=1)
     distance = np.abs(offset)
     bent = np.einsum("nij,nj->ni", curvature, distance)
-    size = np.abs(p.value[parts.own]) + ((steepness + bent) * distance).sum(axis=1)
+    size = np.abs(p.value[parts.simplex]) + ((steepness + bent) * distance).sum(axis=1)
     p_here = _around(value, slack(size, size > 0))
     reach = np.abs(places.arms).max(axis=1)
     turned = np.einsum("nij,nj->ni", curvature, reach)
@@ -186,7 +186,8 @@ def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, elementary:
     at_centre = e.middle - p_here
     d = (e.value - p_here - places.all_changes(slope) - Interval(-arch, arch)).meet(at_centre + places.all_changes(G))
     ends = np.array(EDGES[simplices.shape[1] - 1]).T
-    rise = changes(G, simplices[:, ends[0]][parts.own] - simplices[:, ends[1]][parts.own], np.zeros_like(places.pad))
+    along = (simplices[:, ends[0]] - simplices[:, ends[1]])[parts.simplex]
+    rise = changes(G, along, np.zeros_like(places.pad))
     return _summary(d, at_centre, G, rise, places, e.value.meet(e.middle + places.all_changes(e.gradient)))
 
 

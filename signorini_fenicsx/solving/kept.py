@@ -31,7 +31,7 @@ class Stored:
         rows: For each facet of Γ_S of this rank its row.
         outcome: How the solve ended, from the last solution and its conditions.
         about: Fields of `Solved`: problem, options, step, name, title, source, timings, peak_memory.
-        own: The lists of numbers that `Keeping.own` names.
+        numbers: The lists of numbers that `Keeping.numbers` names.
         step: Number of the step of a problem in time; None for others.
     """
 
@@ -40,7 +40,7 @@ class Stored:
     rows: Indices
     outcome: Callable[[Iterate, SiteConditions], Outcome]
     about: Mapping[str, Any]
-    own: Mapping[str, Sequence[float]]
+    numbers: Mapping[str, Sequence[float]]
     step: int | None
 
     def in_cells(self, spaces: MeshSpaces, key: str) -> npt.NDArray:
@@ -65,7 +65,7 @@ class Keeping:
         in_cells: The arrays of a solution for the cells of this rank (collective).
         on_facets: Those for the facets of Γ_S, their vertices among them, by their names without "facet_".
         read: Makes the solution from the problem and the spaces (collective).
-        own: Attributes of a solution that are lists of numbers, kept beside the arrays.
+        numbers: Attributes of a solution that are lists of numbers, kept beside the arrays.
         of_step: The arrays that a step in time has besides: what it takes from those before.
         of_some: The arrays that only some solutions have; `read` refuses a file without what it needs.
     """
@@ -78,6 +78,6 @@ class Keeping:
     in_cells: Callable[[Any], Arrays]
     on_facets: Callable[[Any], Arrays]
     read: Callable[[Any, Any, Stored], Any]
-    own: Sequence[str] = ()
+    numbers: Sequence[str] = ()
     of_step: Layout = field(default_factory=dict)
     of_some: Layout = field(default_factory=dict)

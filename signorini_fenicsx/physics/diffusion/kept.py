@@ -109,11 +109,11 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
     law = data.laws_at.chains.with_penalty(options.method.penalty, options.eps)
     segment = law.nearest(condition.ravel().astype(np.int8), means - data.laws_at.p_h, flux)
-    above = data.laws_at.own(data.laws_at.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
+    above = data.laws_at.openings(data.laws_at.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
     if data.inside:
         in_cells = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
         at_cells = np.clip(stored.in_cells(spaces, "segment_at").ravel(), 0, data.cells_at.chains.count)
-        pair = data.cells_at.own(at_cells, *in_cells), in_cells[1]
+        pair = data.cells_at.openings(at_cells, *in_cells), in_cells[1]
         in_cells = data.cells_at.chains.conditions(at_cells).clean(*pair, data.conductance)
         segment, law = np.append(segment, at_cells), law.followed_by(data.cells_at.chains)
         above, flux = np.append(above, in_cells[0]), np.append(flux, in_cells[1])

@@ -79,7 +79,7 @@ def read(
         slipped = spaces.in_frames(stored.on_facets(spaces.mesh.comm, "slipped_vector")[0][rough])
     data = elastic_data(spaces, problem, FromBefore(slipped))
     data = replace(data, friction=data.friction.with_bounds(bound[rough]))
-    data = data.after(spaces, np.array(stored.own["moved"]))
+    data = data.after(spaces, np.array(stored.numbers["moved"]))
     along = slip[rough].ravel()
     segment = state[rough].ravel()
     if data.friction and spaces.dim == 3:
@@ -108,7 +108,7 @@ def read(
         data=data,
         outcome=stored.outcome(iterate, conditions),
         kkt=elastic_kkt(spaces, data, stresses, iterate.p),
-        bound_changes=tuple(stored.own["bound_changes"]),
+        bound_changes=tuple(stored.numbers["bound_changes"]),
         **stored.about,
     )
 
@@ -122,7 +122,7 @@ KEEPING = Keeping(
     in_cells=lambda solution: {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)},
     on_facets=_on_facets,
     read=read,
-    own=("bound_changes", "moved"),
+    numbers=("bound_changes", "moved"),
     of_some={
         "facet_slipped": (np.float64, "facets", "dim"),
         "facet_slip_vector": (np.float64, "facets", "dim", "dim"),

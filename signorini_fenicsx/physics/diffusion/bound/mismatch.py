@@ -182,7 +182,7 @@ def _lowest(resolution: Resolution, piece: Conductivity, vertices: Array) -> Arr
 
     parts, of_parts = in_parts(piece.trees, vertices, resolution.spaces.frame, look, need, piece.smallest)
     lowest = np.full(len(vertices), np.inf)
-    np.minimum.at(lowest, parts.own, np.nan_to_num(of_parts[:, 0], nan=-np.inf))
+    np.minimum.at(lowest, parts.simplex, np.nan_to_num(of_parts[:, 0], nan=-np.inf))
     return lowest
 
 
@@ -355,7 +355,7 @@ def _in_parts(
     fields = [[coefficients_of(component, cell) for component in np.moveaxis(each, 2, 0)] for each in (slope, flux)]
 
     def look(parts: Parts, *remainders: Remainder) -> Array:
-        rows, corners = parts.own, parts.vertices.shape[1]
+        rows, corners = parts.simplex, parts.vertices.shape[1]
         at = 1 / corners + np.einsum("nqi,nvi->nqv", parts.vertices - centre[rows, None], hats[rows])
         near = 1 / corners + INSIDE * (shares - 1 / corners)
 
@@ -372,7 +372,7 @@ def _in_parts(
 
     def need(parts: Parts, of_parts: Array) -> Array:
         seen, small, _ = of_parts.T
-        return np.where(small <= CLOSE * seen, 0.0, volume[parts.own] * parts.share * small / max(total, 1e-300))
+        return np.where(small <= CLOSE * seen, 0.0, volume[parts.simplex] * parts.share * small / max(total, 1e-300))
 
     parts, of_parts = in_parts(piece.trees, vertices, frame, look, need, piece.smallest)
     return Squares(*(volume * parts.sums(of_parts, len(cells))))

@@ -122,7 +122,7 @@ def cut_loads(
         return np.stack([remainder.distance() for remainder in remainders], axis=1)
 
     def integrate(parts: Parts, rho: Array) -> None:
-        of_parts = PartPoints(mesh, cells[parts.own].astype(np.int32), points, weights, parts.vertices)
+        of_parts = PartPoints(mesh, cells[parts.simplex].astype(np.int32), points, weights, parts.vertices)
         e, q = [term.e.values(of_parts) for term in terms], [term.q(of_parts) for term in terms]
         load = numbers[of_parts.cells, None] + sum(a * b for a, b in zip(e, q, strict=True))
         x = of_parts.barycentric[:, :, 1:]
@@ -130,9 +130,9 @@ def cut_loads(
         moments = [np.einsum("nq,q,nqa->na", each, weights, phi) for each in (load, e[0])]
         squares = [(one * other) @ weights for one, other in ((load, load), (load, e[0]), (e[0], e[0]))]
         share = parts.share[:, None]
-        np.add.at(sums, parts.own, share * np.column_stack([*moments, *squares]))
+        np.add.at(sums, parts.simplex, share * np.column_stack([*moments, *squares]))
         of_q = [rho[:, i] ** 2 * (each**2 @ weights) for i, each in enumerate(q)]
-        np.add.at(unsure, parts.own, share * np.column_stack([*of_q, rho[:, 0] ** 2 * volume]))
+        np.add.at(unsure, parts.simplex, share * np.column_stack([*of_q, rho[:, 0] ** 2 * volume]))
 
     groups: list[tuple[tuple, Indices]] = [((), np.arange(len(cells)))]
     for term in terms:
@@ -142,11 +142,11 @@ def cut_loads(
         unsure[rows] = 0.0
 
         def need(parts: Parts, rho: Array, rows: Indices = rows) -> Array:
-            return np.asarray(parts.share * (weight[:, rows[parts.own]].T * rho**2).sum(axis=1))
+            return np.asarray(parts.share * (weight[:, rows[parts.simplex]].T * rho**2).sum(axis=1))
 
         parts, rho = in_parts(trees, resolution.vertices[cells[rows]], resolution.spaces.frame, look, need)
-        parts = Parts(parts.vertices, rows[parts.own], parts.share)
-        for begin in range(0, len(parts.own), CHUNK):
+        parts = Parts(parts.vertices, rows[parts.simplex], parts.share)
+        for begin in range(0, len(parts.simplex), CHUNK):
             some = slice(begin, begin + CHUNK)
             integrate(parts.take(some), rho[some])
     return _balanced(sums, unsure, basis.dim, volume)

@@ -115,7 +115,7 @@ class FluxBackend(TraceBackend):
 
     def _with_cells(self, x: PETSc.Vec, conditions: SiteConditions, flux: Array) -> tuple[Array, Array]:
         """`SitePairs.p` and `SitePairs.flux` with this flux on Γ_S; those of cells with laws follow (collective)."""
-        p = self.openings(x)
+        p = self.means(x)
         if not self.by_traces:
             of_p, of_flux = self.system.in_cells(x)
             p, flux = np.append(p, of_p), np.append(flux, of_flux)

@@ -52,12 +52,12 @@ class VertexBackend(DataBackend):
         """The iterate from means of û less the references and from fields."""
         data, laws, spaces = self.data, self.laws, self.spaces
         flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - laws.flux_h
-        at_laws = laws.own(laws.chains.segments(conditions[: len(p)]), p, flux)
+        at_laws = laws.openings(laws.chains.segments(conditions[: len(p)]), p, flux)
         means = p + data.lift[spaces.site_kinds.unknown]
         if data.inside:
             above, force = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
             segment = data.cells_at.chains.segments(conditions[len(p) :])
-            at_laws, flux = np.append(at_laws, data.cells_at.own(segment, above, force)), np.append(flux, force)
+            at_laws, flux = np.append(at_laws, data.cells_at.openings(segment, above, force)), np.append(flux, force)
         return LinearIterate(*conditions.clean(at_laws, flux, data.conductance), iterations, sigma, u, means)
 
     def without_flux(self, iterate: Any, where: Mask) -> LinearIterate:
@@ -146,7 +146,7 @@ class LinearBackend(VertexBackend, FluxBackend):
         """The iterate from the values of σ and u (collective)."""
         self.sizes.take(u, sigma)
         fields = self.spaces.flux(sigma), self.spaces.scalar(u)
-        return self.iterate_of(conditions, self.openings(self._x), *fields, self._iterations)
+        return self.iterate_of(conditions, self.means(self._x), *fields, self._iterations)
 
     def scales(self, iterate: Any) -> tuple[Array, Array]:
         """See `TraceBackend.scales`; in cells that of −s is the scale of u over m_T, as of RT0 (collective)."""

@@ -23,7 +23,7 @@ class LinearIterate(Iterate):
     """An `Iterate` of RT1: σ in RT1, u in P1 on cells.
 
     Attributes:
-        means: The mean of û by the hat of each facet vertex of Γ_S; p is this less ψ, or as `VertexLaws.own` has it.
+        means: The mean of û by the hat of each facet vertex of Γ_S; p is this less ψ, or that of `VertexLaws.openings`.
     """
 
     means: Array
@@ -60,7 +60,7 @@ def linear_kkt(
         k_T, h = (np.repeat(each, spaces.dim + 1) for each in (k, spaces.cell_diameters))
         laws, unit, (above, force) = data.cells_at, k_T / (length * h), data.in_cells(spaces, sigma, u)
         known = cell.of(iterate.p), force
-        above = laws.own(laws.chains.off_segments(known, known, unit).argmin(axis=1), above, force)
+        above = laws.openings(laws.chains.off_segments(known, known, unit).argmin(axis=1), above, force)
         squares += squares_off(laws.chains, (above, force), unit, cell.measure * h**2, k_T, 1.0)
     of_cells = _of_cells(spaces, data, sigma, u, kind.rows_of(means))
     given = [(spaces.neumann, spaces.through(spaces.neumann, sigma) - data.given_flux)]

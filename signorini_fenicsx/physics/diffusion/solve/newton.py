@@ -64,7 +64,7 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
     def reached(iterations: int) -> tuple[Iterate, SiteConditions]:
         """The present solution; a facet is in contact where p is at one of its bounds."""
         x.copy(backend.x)
-        p = backend.openings(x)
+        p = backend.means(x)
         conditions = law.conditions(np.where(p >= high, law.count, p > low))
         return replace(backend.recovered(conditions, refine=False), linear_iterations=iterations), conditions
 

@@ -102,7 +102,7 @@ class DiffusionTask(Task):
         of_u = self.data.quasilinear
         if of_u is not None and of_u.storing is not None:
             backend.x.array_w[:] = backend.system.unknowns_of(of_u.storing.traces - of_u.constant)
-            p, chains = backend.openings(backend.x), backend.chains
+            p, chains = backend.means(backend.x), backend.chains
             return chains.conditions(np.minimum((chains.p < p[:, None]).sum(axis=1), chains.count))
         return None if self.spaces.held else backend.chains.conditions(backend.chains.steepest())
 

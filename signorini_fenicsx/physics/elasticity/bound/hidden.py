@@ -383,16 +383,16 @@ def _above(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: A
     enough = np.maximum(SHARE * off / np.sqrt(facets.measure), _rounding(spaces, bound))
     parts, squares = Parts(facets.vertices, np.arange(len(bound)), np.ones(len(bound))), np.zeros(len(bound))
     for level in range(HALVINGS + 1):
-        arms = parts.vertices.mean(axis=1) - facets.vertices.mean(axis=1)[parts.own]
-        middle = bound.mean(axis=1)[parts.own] + np.einsum("ni,ni->n", gradient[parts.own], arms)
-        linear = Quadratic(middle, gradient[parts.own], np.zeros((len(middle), spaces.dim, spaces.dim)))
-        excess, cells = np.zeros(len(middle)), facets.cells[parts.own]
+        arms = parts.vertices.mean(axis=1) - facets.vertices.mean(axis=1)[parts.simplex]
+        middle = bound.mean(axis=1)[parts.simplex] + np.einsum("ni,ni->n", gradient[parts.simplex], arms)
+        linear = Quadratic(middle, gradient[parts.simplex], np.zeros((len(middle), spaces.dim, spaces.dim)))
+        excess, cells = np.zeros(len(middle)), facets.cells[parts.simplex]
         for tree, rows in datum.trees_in(cells):
-            some = parts.own[rows]
+            some = parts.simplex[rows]
             least = ranges(tree, parts.vertices[rows], linear.of(rows), spaces.frame, -enough[some], np.inf).lo
             excess[rows] = np.maximum(-least, 0.0)
-        done = (excess <= enough[parts.own]) | (level == HALVINGS)
-        squares += np.bincount(parts.own[done], (parts.share * excess**2)[done], len(bound))
+        done = (excess <= enough[parts.simplex]) | (level == HALVINGS)
+        squares += np.bincount(parts.simplex[done], (parts.share * excess**2)[done], len(bound))
         parts = parts.take(~done).halves()
     return np.sqrt(facets.measure * squares)
 

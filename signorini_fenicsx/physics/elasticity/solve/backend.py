@@ -41,9 +41,9 @@ ROUGH = 1e-2
 class ElasticBackend(TraceBackend):
     """The backend with one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
 
-    ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is as
-    `VertexLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the
-    flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips. In space a vertex with
+    ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is
+    that of `VertexLaws.openings`, and ROBIN is a spring. After these sites come those with friction, where p = u_t and
+    the flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips. In space a vertex with
     friction has two of them, for the components of both, and `FrictionBounds.stiffness` is added where it slips.
     """
 
@@ -134,7 +134,7 @@ class ElasticBackend(TraceBackend):
     def anchor(self) -> bool:
         """Let weak springs pull as `Anchored.anchor` says (collective)."""
         assert self._last is not None
-        p, weak = self.openings(self._x), self._weak
+        p, weak = self.means(self._x), self._weak
         pull = np.abs(weak.pull(self._last.conditions, p) / self.measure)
         self._weak, self._state = WeakSprings(weak.stiffness, p), State.POSED
         return weak.anchor is None or self.sizes.extent(pull, pull)[0] > STEP * self.sizes.largest[1]
@@ -160,7 +160,7 @@ class ElasticBackend(TraceBackend):
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
         """There are no solves on patches of bodies: None."""
 
-    def openings(self, x: PETSc.Vec) -> Array:
+    def means(self, x: PETSc.Vec) -> Array:
         """The means of −(û_n − r_n) and û_t − r_t at the sites, r the motions of tools."""
         return np.asarray(self._signs * (x.array_r[self._unknowns] - self.tools.at_sites))
 
@@ -371,7 +371,7 @@ class ElasticBackend(TraceBackend):
         """The iterate from the values of σ and u (collective)."""
         spaces = self.spaces
         self.sizes.take(u, sigma)
-        means = self.openings(self._x)
+        means = self.means(self._x)
         p, flux = self.cleaned(conditions, means, self.data.reactions(spaces, sigma, self._slip.of(means)))
         return Iterate(p, flux, self._iterations, spaces.split.stress(sigma), spaces.displacement(u))
 
@@ -379,7 +379,7 @@ class ElasticBackend(TraceBackend):
         """Add what supports, laws, weak springs and pressure do, see `TraceBackend.left_at_sites`."""
         left -= self.system.of_supports(x.array_r)
         super().left_at_sites(posed, x, left)
-        left[self._unknowns] += self._signs * self._weak.pull(posed.conditions, self.openings(x))
+        left[self._unknowns] += self._signs * self._weak.pull(posed.conditions, self.means(x))
         pressure = self.flux(x, self.system.load)[self._slip.pressing]
         left[self._slip.unknown] += self._slip.measure * self.friction.pressed(pressure)
 

@@ -53,7 +53,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         spaces: The spaces.
         data: The data.
         stresses: Values of σ as in `SplitMesh.values`.
-        p: g − u_n at the sites as `VertexLaws.own` has it, then u_t at those with friction.
+        p: g − u_n at the sites as `VertexLaws.openings` has it, then u_t at those with friction.
     """
     comm, dim = spaces.mesh.comm, spaces.dim
     volume = square = of_loads = 0.0
