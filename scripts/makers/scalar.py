@@ -41,6 +41,7 @@ type Array = npt.NDArray[np.float64]
 AGREE = 1e-7
 """Largest relative difference of p and σ by rounding."""
 SIZES = {"square": 0.2, "lshape": 0.4, "half_disk": 0.3, "annulus": 0.4, "cube": 0.6, "lprism": 0.9, "ball": 0.9}
+NOT_UNIQUE = "without a unique solution"
 REFERENCES = {"alg1": "vi", "alg2": "vi", "alg3": "snes1", "alg4": "snes2"}
 
 
@@ -88,21 +89,32 @@ type Drawn = tuple[Domain, Problem, Options, str]
 """A mesh, the problem, how it is solved, and a description."""
 
 
-def random_problem(seed: int) -> Drawn:
-    """A problem with one law."""
-    rng = np.random.default_rng(seed)
+def random_problem(seed: int, *, several: bool = False, inside: bool = False) -> Drawn:
+    """A problem with one law, or with several, if it is wanted also inside."""
+    rng = np.random.default_rng([seed, 1] if several else seed)
     case = random_case(rng)
-    domain = mesh_case(case, MPI.COMM_SELF)
+    domain, options, laws = mesh_case(case, MPI.COMM_SELF), options_of(case), list[Law]()
     bad = distort(rng, domain)
-    contrast = 10 ** rng.uniform(0, 6) if rng.random() < 0.7 else 1.0
+    contrast = 10 ** rng.uniform(0, 6) if rng.random() < (0.5 if several else 0.7) else 1.0
+    signorini, neumann = case.boundary.signorini, case.boundary.neumann
+    if several:
+        size = float(np.ptp(domain.mesh.geometry.x, axis=0).max())
+        with_law = list(domain.parts) if rng.random() < 0.2 else signorini
+        signorini, neumann = [], [part for part in neumann if part not in with_law]
+        laws = [random_law(rng, part, size) for part in with_law]
+        domain = halved(domain) if inside else domain
+        laws += random_laws_inside(rng, size) if inside else []
     rough = rng.random() < 0.5
-    problem = random_data(rng, domain, contrast, rough=rough)
-    boundary, solving = case.boundary, case.solve
-    words = [case.geometry.shape or "", case.geometry.mesh, "bad cells" if bad else ""]
-    words += [f"Γ_S {boundary.signorini}", f"Γ_N {boundary.neumann}", f"κ 1 to {contrast:.0e}"]
-    words += ["rough f" if rough else "smooth f", solving.algorithm, solving.backend]
-    posed = replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary)
-    return domain, posed, options_of(case), ", ".join(word for word in words if word)
+    problem = replace(random_data(rng, domain, contrast, rough=rough), boundary=Boundary(signorini, neumann))
+    if several:
+        problem = replace(problem, psi=0.0, q_S=0.0, laws=laws)
+        algorithm = str(rng.choice(["alg1", "alg2"]))
+        options = Options(algorithm=algorithm, backend=options.backend, max_iterations=200)
+    words = [case.geometry.shape or "", case.geometry.mesh, "bad cells" if bad else "", f"Γ_N {neumann}"]
+    words += [f"Γ_S {signorini}"] if signorini else [f"{law.name} on {(law.parts or law.region)[0]}" for law in laws]
+    words += [f"κ 1 to {contrast:.0e}", "rough f" if rough else "smooth f"]
+    words += [options.algorithm_name, options.backend_name]
+    return domain, problem, options, ", ".join(word for word in words if word)
 
 
 def random_case(rng: np.random.Generator) -> Case:
@@ -163,10 +175,20 @@ def random_data(rng: np.random.Generator, domain: Domain, contrast: float, *, ro
     )
 
 
-def examine(seed: int) -> Result:
-    """Solve the problem of a seed with its algorithm and with the reference."""
-    domain, problem, options, words = random_problem(seed)
-    return solved(domain, problem, options, words, [replace(options, algorithm=REFERENCES[options.algorithm_name])])
+def examine(seed: int, *, several: bool = False, inside: bool = False) -> Result:
+    """Solve the problem of a seed with its algorithm, and in another way."""
+    domain, problem, options, words = random_problem(seed, several=several, inside=inside)
+    ways = [replace(options, algorithm=REFERENCES[options.algorithm_name])]
+    if several:
+        algorithm = "alg2" if options.algorithm_name == "alg1" else "alg1"
+        backend = "mixed" if options.backend_name == "hybrid" else "hybrid"
+        ways = [replace(options, algorithm="qp"), replace(options, algorithm=algorithm, backend=backend)]
+    try:
+        return solved(domain, problem, options, words, ways)
+    except InputError as error:
+        if "no part of the boundary" in str(error) or "u_D on Γ_D" in str(error):
+            return Result(words, NOT_UNIQUE, np.nan, np.nan)
+        raise
 
 
 def solved(domain: Domain, problem: Problem, options: Options, words: str, ways: Sequence[Options]) -> Result:
@@ -274,51 +296,13 @@ def halved(domain: Domain) -> Domain:
     return replace(domain, regions=cells)
 
 
-def problem_of_laws(seed: int, *, inside: bool = False) -> Drawn:
-    """A problem with several laws."""
-    rng = np.random.default_rng([seed, 1])
-    case = random_case(rng)
-    domain = mesh_case(case, MPI.COMM_SELF)
-    bad = distort(rng, domain)
-    contrast = 10 ** rng.uniform(0, 6) if rng.random() < 0.5 else 1.0
-    size = float(np.ptp(domain.mesh.geometry.x, axis=0).max())
-    everything = list(domain.parts)
-    with_law = everything if rng.random() < 0.2 else case.boundary.signorini
-    neumann = [part for part in case.boundary.neumann if part not in with_law]
-    laws = [random_law(rng, part, size) for part in with_law]
-    if inside:
-        domain = halved(domain)
-        laws += random_laws_inside(rng, size)
-    problem = replace(random_data(rng, domain, contrast, rough=rng.random() < 0.5), psi=0.0, q_S=0.0, laws=laws)
-    algorithm = str(rng.choice(["alg1", "alg2"]))
-    words = [case.geometry.shape or "", "bad cells" if bad else "", f"Γ_N {neumann}", f"κ 1 to {contrast:.0e}"]
-    words += [f"{law.name} on {(law.parts or law.region)[0]}" for law in laws] + [algorithm, case.solve.backend]
-    options = Options(algorithm=algorithm, backend=case.solve.backend, max_iterations=200)
-    posed = replace(problem, boundary=Boundary([], neumann))
-    return domain, posed, options, ", ".join(word for word in words if word)
-
-
-def examine_laws(seed: int, *, inside: bool = False) -> Result | None:
-    """Solve the problem of a seed, and in another way; None if it has no unique solution."""
-    domain, problem, options, words = problem_of_laws(seed, inside=inside)
-    algorithm = "alg2" if options.algorithm_name == "alg1" else "alg1"
-    backend = "mixed" if options.backend_name == "hybrid" else "hybrid"
-    ways = [replace(options, algorithm="qp"), replace(options, algorithm=algorithm, backend=backend)]
-    try:
-        return solved(domain, problem, options, words, ways)
-    except InputError as error:
-        if "no part of the boundary" in str(error) or "u_D on Γ_D" in str(error):
-            return None
-        raise
-
-
-def random_scalar(seed: int, laws: bool = False, inside: bool = False) -> list[Found]:
+def random_scalar(seed: int, several: bool = False, inside: bool = False) -> list[Found]:
     """Examine a problem; with several laws it may fail, but not be wrong."""
-    result = examine_laws(seed, inside=inside) if laws else examine(seed)
-    if result is None:
-        return [Found("", ["without a unique solution"], shown=False)]
+    result = examine(seed, several=several, inside=inside)
+    if result.ending == NOT_UNIQUE:
+        return [Found("", [NOT_UNIQUE], shown=False)]
     repeats = "sets repeat" in result.ending
     counts = ["good" if repeats else "failed", *["no reference"] * bool(np.isnan(result.difference))]
     counts += ["by single changes"] * ("by changing single" in result.ending)
     off = result.kkt > KKT or result.difference > AGREE_OF_LAWS
-    return [result.found(counts, wrong=repeats and off if laws else not result.good)]
+    return [result.found(counts, wrong=repeats and off if several else not result.good)]

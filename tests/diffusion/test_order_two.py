@@ -12,7 +12,7 @@ import ufl
 from commands import signorini
 from dolfinx import fem
 from made_cases import EXACT, on_grid
-from makers.scalar import problem_of_laws
+from makers.scalar import random_problem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -200,7 +200,7 @@ def test_far_values(tmp_path: Path):
 
 def test_rounding_in_the_facet_system():
     """κ from 1 to 2e4 on bad cells: more corrections where those by a size beside the largest flux are too few."""
-    domain, problem, _, _ = problem_of_laws(0)
+    domain, problem, _, _ = random_problem(0, several=True)
     solution = solve(domain, problem, RT1)
     assert "with more corrections, because the facet system left" in solution.outcome.reason
     assert max(vars(solution.kkt).values()) < 1e-11
