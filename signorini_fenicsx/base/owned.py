@@ -92,6 +92,14 @@ def function_at(
     return function
 
 
+def with_ghosts(index_map: common.IndexMap, owned: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Rows of numbers of what this rank owns of an index map, and after them those of ghosts (collective)."""
+    everywhere = la.vector(index_map, owned.shape[1])
+    everywhere.array[: owned.size] = owned.ravel()
+    everywhere.scatter_forward()
+    return np.asarray(everywhere.array).reshape(-1, owned.shape[1])
+
+
 def sums_at(
     index_map: common.IndexMap, numbers: npt.NDArray[np.integer], values: npt.ArrayLike = 1.0
 ) -> npt.NDArray[np.float64]:

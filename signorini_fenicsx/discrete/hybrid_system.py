@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, la
+from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.base.owned import sums_at, with_ghosts
 from signorini_fenicsx.discrete.matrices import OfCells, identity_with, of_cells
 from signorini_fenicsx.linear.constrained_matrix import image_of
 
@@ -273,10 +273,7 @@ class TraceSystem(ABC):
 
     def everywhere(self, owned: Array) -> Array:
         """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
-        x = la.vector(self._numbers, self._size)
-        x.array[: len(owned)] = owned
-        x.scatter_forward()
-        return np.asarray(x.array)
+        return with_ghosts(self._numbers, owned.reshape(-1, self._size)).ravel()
 
     def with_lift(self, x: PETSc.Vec) -> Array:
         """The unknowns of this rank and the lift, ghosts too (collective)."""

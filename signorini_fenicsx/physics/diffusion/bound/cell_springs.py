@@ -22,7 +22,7 @@ from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
-from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside, trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import ends_beside, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
 from signorini_fenicsx.physics.diffusion.bound.relaxation import SpringsInCells
@@ -104,17 +104,11 @@ class LawPieces:
         nodes, rows, segment = cell_dofs(space), np.arange(len(self.piece)), self.inside.segment
         low, high = np.full(nodes.shape, -np.inf), np.full(nodes.shape, np.inf)
         only = self.held & self.rigid[rows, self.piece]
-        last, (before, beyond) = self.rigid.shape[1] - 1, held_beyond(self.piece, self.rigid)
-        sides = (
-            (low, before >= 0, self.piece > segment, np.maximum(before, 0), 1),
-            (high, beyond <= last, self.piece < segment, np.minimum(beyond, last), 0),
-        )
         for at, law in self._nodes(space):
             cells, t = at.cells, self.rest(at, *law.on(segment[at.cells]))
-            for limit, near, past, nearest, end in sides:
-                some, corner = (near | only)[cells], law.traces(nearest[cells])[end]
-                values = np.where((self.held & (past | only))[cells, None], t, corner)[some]
-                limit[cells[some]] = coefficients_of(values, space.mesh.basix_cell())
+            of_pieces = segment[cells], self.piece[cells], self.rigid[cells], self.held[cells], only[cells]
+            for limit, end in zip((low, high), ends_beside(law, *of_pieces, t), strict=True):
+                limit[cells] = coefficients_of(end, space.mesh.basix_cell())
         floor, ceiling = (
             extreme_around(space, nodes, limit, largest=largest) for limit, largest in ((low, True), (high, False))
         )

@@ -46,12 +46,12 @@ from signorini_fenicsx.certificate.laws import Area, LawPoints, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Corners, Obstacle
 from signorini_fenicsx.discrete.bernstein import degree_of, exponents
-from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.laws import trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import is_rough, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_LAW,
@@ -83,26 +83,27 @@ def selected(solution: Solution, laws: CellLaws, s: Array, u: Array, metric: Cel
     steep segments it is s itself, as on vertical ones: there the error of u counts, and that of s costs little. With
     RT1 it is s itself wherever a mean cannot tell what the vertices are on, see `Solution.blurred_cells`.
     """
-    chains, rows, cells = laws.chains, np.arange(len(s)), solution.cell_conditions
-    segment = chains.segments(cells, (u - laws.means, -s))
+    cells, ends = solution.cell_conditions, laws.chains.extent()[:1:-1]
     beta, load = laws.as_linear(cells)
-    first, last = segment == 0, segment == chains.count
-    least = np.where(first, -np.inf, -chains.flux[rows, np.maximum(segment - 1, 0)])
-    most = np.where(last, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)])
     held, blurred = beta * metric.diameter**2 > 1, solution.blurred_cells
-    least, most = (
-        np.where(blurred, -end, each) for end, each in zip(chains.extent()[:1:-1], (least, most), strict=True)
-    )
+    of_segment = _ends_of_segment(laws, cells, s, u)
+    least, most = (np.where(blurred, -end, each) for end, each in zip(ends, of_segment, strict=True))
     return np.where(held | blurred, np.clip(s, least, most), np.where(held, 0.0, beta) * u - load)
 
 
 def room(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array:
     """By how much s of each owned cell may grow or fall where its law holds u; 0 elsewhere."""
+    least, most = _ends_of_segment(laws, cells, s, u)
+    return np.where(cells.kind == Condition.ZERO_TRACE, np.minimum(most - s, s - least), 0.0)
+
+
+def _ends_of_segment(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> tuple[Array, Array]:
+    """The least and the largest s on the segment of each owned cell."""
     chains, rows = laws.chains, np.arange(len(s))
     segment = chains.segments(cells, (u - laws.means, -s))
-    above = np.where(segment == chains.count, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)] - s)
-    below = np.where(segment == 0, np.inf, s + chains.flux[rows, np.maximum(segment - 1, 0)])
-    return np.where(cells.kind == Condition.ZERO_TRACE, np.minimum(above, below), 0.0)
+    least = np.where(segment == 0, -np.inf, -chains.flux[rows, np.maximum(segment - 1, 0)])
+    most = np.where(segment == chains.count, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)])
+    return least, most
 
 
 @dataclass(frozen=True)
@@ -158,8 +159,7 @@ class Inside:
             resolution.by_quadrature |= {
                 part.key(name)
                 for name, datum in part.data.items()
-                if not any(datum is bound for bound in part.bounds)
-                and (datum.polynomial is None or 2 * datum.polynomial > DEGREES[1])
+                if is_rough(datum) and not any(datum is bound for bound in part.bounds)
             }
         takes_f = np.zeros(len(s), dtype=bool)
         of_cells = s, laws.chains, segment, rays, np.zeros(len(s)), takes_f, data.f, blurred, tilt, s_tilt

@@ -128,7 +128,7 @@ class Goal:
 
         None if there are more, or facets inside the domain or opposite to others, where v would have to be a jump.
         """
-        rough = [part for part in self.parts if any(map(_is_rough, part.data.values()))]
+        rough = [part for part in self.parts if any(map(is_rough, part.data.values()))]
         alone = len(rough) == 1 and type(rough[0].law) is Signorini and not spaces.inner.present
         slaves = {name for joint in spaces.joints for name in joint.pair.slave}
         return rough[0] if alone and slaves.isdisjoint(rough[0].law.parts) else None
@@ -155,6 +155,35 @@ def held_beyond(piece: Indices, held: Mask) -> tuple[Indices, Indices]:
     column, number = np.arange(held.shape[1]), held.shape[1]
     before, beyond = held & (column < piece[:, None]), held & (column > piece[:, None])
     return np.where(before, column, -1).max(axis=1), np.where(beyond, column, number).min(axis=1)
+
+
+def ends_beside(
+    at: LawPoints, segment: Indices, piece: Indices, holding: Mask, held: Mask, only: Mask, value: Array
+) -> tuple[Array, Array]:
+    """Between which u v should be for the sake of its piece, in points of facets or cells, infinite where it is free.
+
+    It is between the nearest segments that hold v before and beyond the piece: to their corners, or where that is the
+    segment of a facet or cell that is held to where it holds v.
+
+    Args:
+        at: The points.
+        segment: The segment of each facet or cell.
+        piece: The one that v is near.
+        holding: The segments that hold v, shape (n, segments).
+        held: Where v is held by its segment.
+        only: Where no other segment is beside.
+        value: At which it is held, shape (n, points).
+    """
+    last, (before, beyond) = holding.shape[1] - 1, held_beyond(piece, holding)
+    sides = (
+        (before >= 0, piece > segment, at.traces(np.maximum(before, 0))[1], -np.inf),
+        (beyond <= last, piece < segment, at.traces(np.minimum(beyond, last))[0], np.inf),
+    )
+    low, high = (
+        np.where((near | only)[:, None], np.where((held & (past | only))[:, None], value, corner), free)
+        for near, past, corner, free in sides
+    )
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -239,11 +268,11 @@ def energies(part: PartLaw, points: Points, u: Array, flux_h: Array | None = Non
     return LawPoints(points, part.chains(points, flux_h)).areas(gap, u, flux) - flux * u
 
 
-def _is_rough(datum: Datum) -> bool:
+def is_rough(datum: Datum) -> bool:
     """Whether the square of a datum is not integrated exactly."""
     return datum.polynomial is None or 2 * datum.polynomial > DEGREES[1]
 
 
 def not_polynomial(parts: Iterable[PartLaw]) -> set[str]:
     """The data of the laws whose integrals are by quadrature only."""
-    return {part.key(name) for part in parts for name, datum in part.data.items() if _is_rough(datum)}
+    return {part.key(name) for part in parts for name, datum in part.data.items() if is_rough(datum)}

@@ -13,7 +13,7 @@ from signorini_fenicsx.certificate.laws import LawPoints
 from signorini_fenicsx.discrete.bernstein import basis
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_type, in_facets
-from signorini_fenicsx.physics.diffusion.bound.laws import Goal, held_beyond, pieces_beside, trace_on
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal, ends_beside, pieces_beside, trace_on
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -141,21 +141,11 @@ class OnGammaS:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
 
         Returns:
-            The least and the largest u that the law allows, and those between the nearest steep segments before and
-            beyond the piece: to their corners, or where that is the rigid segment of the facet to where it holds v.
+            The least and the largest u that the law allows, and those that also are as `ends_beside` says.
         """
-        low, high = nodes.extent()[:2]
-        rows, piece = np.arange(len(self.piece)), self.piece
-        last, (before, beyond) = self.steep.shape[1] - 1, held_beyond(piece, self.steep)
-        begin, end = nodes.traces(np.maximum(before, 0))[1], nodes.traces(np.minimum(beyond, last))[0]
-        only = self.rigid[rows, piece]  # no other segment is beside
-        value, held, _ = self.held(nodes)
-        begin, end = (
-            np.where((held & (beside | only))[:, None], value, corner)
-            for beside, corner in ((piece > self.segment, begin), (piece < self.segment, end))
-        )
-        soft_low = np.where(((before >= 0) | only)[:, None], begin, -np.inf)
-        soft_high = np.where(((beyond <= last) | only)[:, None], end, np.inf)
+        (low, high, *_), (value, held, _) = nodes.extent(), self.held(nodes)
+        only = self.rigid[np.arange(len(self.piece)), self.piece]
+        soft_low, soft_high = ends_beside(nodes, self.segment, self.piece, self.steep, held, only, value)
         return [low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)]
 
     def loads(self, at: LawPoints[FacetPoints]) -> Array:

@@ -17,7 +17,7 @@ from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, TraceCoarse
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix, image_of
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -352,13 +352,7 @@ class _Gap:
         """The matrix times values (collective)."""
         if self._matrix is None:
             return self._applied(self._image, values)
-        vector_in, image = self._matrix.createVecs()
-        vector_in.array_w[:] = values
-        self._matrix.mult(vector_in, image)
-        product = image.array_r.copy()
-        for vector in (vector_in, image):
-            vector.destroy()
-        return product
+        return image_of(self._matrix, values)
 
     def _applied(self, image: fem.Form, values: Array) -> Array:
         """A form of `_given` and a test function for these values (collective)."""

@@ -13,7 +13,7 @@ import basix
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import AnyIndices, Array
+from signorini_fenicsx.base.arrays import AnyIndices, Array, positions
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.reference_cells import positive_quadrature
@@ -400,12 +400,9 @@ def _of_energy(solution: Solution, goal: Goal) -> float:
 
 def _on_facets(solution: Solution, points: FacetPoints) -> Array:
     """The values p_h on the facets of Γ_S, inside the domain the jump, and the mean of u on others (collective)."""
-    facets = solution.spaces.facets
     u = np.repeat(_means(solution, points)[:, None], points.shape[1], axis=1)
-    order = np.argsort(facets)
-    on_gamma_s = np.isin(points.facets, facets)
-    rows = order[np.searchsorted(facets[order], points.facets[on_gamma_s])]
-    u[on_gamma_s] = solution.trace_at(points, rows)
+    on_gamma_s = np.isin(points.facets, solution.spaces.facets)
+    u[on_gamma_s] = solution.trace_at(points, positions(solution.spaces.facets, points.facets[on_gamma_s]))
     return u
 
 

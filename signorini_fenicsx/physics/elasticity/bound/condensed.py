@@ -24,7 +24,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at, with_ghosts
 from signorini_fenicsx.discrete.bernstein import exponents
 from signorini_fenicsx.discrete.linear_traces import BLOCK, facet_normals, opposite
 from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, TraceCoarse
@@ -122,10 +122,8 @@ class Condensed:
         search = mean.search()
 
         def lost(x: Array) -> tuple[Array, float]:
-            everywhere = la.vector(numbers, dim)
-            everywhere.array[: len(x)] = x + lift
-            everywhere.scatter_forward()
-            return mean.of(everywhere.array.reshape(-1, dim)[self.around].reshape(self.flows.shape), self.grown)
+            everywhere = with_ghosts(numbers, (x + lift).reshape(-1, dim))
+            return mean.of(everywhere[self.around].reshape(self.flows.shape), self.grown)
 
         means, share = lost(x)
         for _ in range(MOST_SOLVES):
@@ -144,7 +142,7 @@ class Condensed:
 
     def coefficients(self, x: Array) -> Array:
         """The coefficients at the nodes inside, shape (cells, inner, d), from those of the others, ghosts too."""
-        around = x.reshape(-1, self.nodes.dim)[self.around].reshape(self.share.shape[::2])
+        around = x[self.around].reshape(self.share.shape[::2])
         inner = self.particular - np.einsum("nio,no->ni", self.share, around)
         return inner.reshape(*self.inside.shape, self.nodes.dim)
 

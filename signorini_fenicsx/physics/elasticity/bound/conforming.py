@@ -18,12 +18,13 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.base.owned import sums_at, with_ghosts
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
 from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.discrete.trace_multigrid import STIFF
 from signorini_fenicsx.forms.elasticity import square, strain, vector
+from signorini_fenicsx.linear.constrained_matrix import image_of
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
 from signorini_fenicsx.physics.elasticity.bound.collected import Collected
 from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condensed, displacement_solver, means_at_nodes
@@ -224,10 +225,7 @@ class BestDisplacement:
         self._matrix = self._natural.duplicate(copy=True)
         for option in (PETSc.Mat.Option.KEEP_NONZERO_PATTERN, PETSc.Mat.Option.SPD):
             self._matrix.setOption(option, True)
-        stiffness = la.vector(self._numbers, dim)
-        stiffness.array[: size * dim] = diagonal.array_r + inside.softened
-        stiffness.scatter_forward()
-        everywhere = stiffness.array.reshape(-1, dim)
+        everywhere = with_ghosts(self._numbers, (diagonal.array_r + inside.softened).reshape(-1, dim))
         of_laws = np.zeros_like(everywhere)  # across, where friction is along
         for nodes, matrices in springs[1:]:
             of_laws += sums_at(self._numbers, nodes, np.einsum("nii->ni", matrices).reshape(*nodes.shape, dim))
@@ -265,17 +263,12 @@ class BestDisplacement:
 
     def times(self, x: Array) -> Array:
         """Kx (collective)."""
-        vector, image = self._natural.createVecs()
-        vector.array_w[:] = x
-        self._natural.mult(vector, image)
-        return np.array(image.array_r)
+        return image_of(self._natural, x)
 
     def along(self, x: Array) -> Array:
         """Ax of each term (collective)."""
-        everywhere = la.vector(self._numbers, self.spaces.dim)
-        everywhere.array[: len(x)] = x
-        everywhere.scatter_forward()
-        return np.einsum("kmsj,ksj->km", self._axes, everywhere.array.reshape(-1, self.spaces.dim)[self._nodes])
+        everywhere = with_ghosts(self._numbers, x.reshape(-1, self.spaces.dim))
+        return np.asarray(np.einsum("kmsj,ksj->km", self._axes, everywhere[self._nodes]))
 
     def spread(self, forces: Array) -> Array:
         """Σ Aᵀτ (collective)."""
@@ -345,13 +338,11 @@ class BestDisplacement:
         out = 0.0
         if self.material.incompressible:
             x, out = self._condensed.without_flows(x, self._lift, self.solve, self.pushed)
-        turned = la.vector(self._numbers, self.spaces.dim)
-        turned.array[: len(x)] = x + self._lift
-        turned.scatter_forward()
+        turned = with_ghosts(self._numbers, (x + self._lift).reshape(-1, self.spaces.dim))
         v = fem.Function(self.space, name="v")
         coefficients = v.x.array.reshape(-1, self.spaces.dim)
-        coefficients[self._left.of_space] = turned.array.reshape(-1, self.spaces.dim)
-        coefficients[self._condensed.inside] = self._condensed.coefficients(turned.array)
+        coefficients[self._left.of_space] = turned
+        coefficients[self._condensed.inside] = self._condensed.coefficients(turned)
         coefficients[:] = np.einsum("nij,nj->ni", self._given.frames, coefficients)
         return v, self._not_admissible(v) or ("v lets fluid out of cells" if out > OUT else "")
 

@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, positions
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.cell_shapes import corners
@@ -238,8 +238,8 @@ def without_given(spaces: ElasticSpaces, part: BoundaryFacets, values: Array) ->
     """Tractions on a part without their components along which u is given there, shape (facets, points, d)."""
     values = values.copy()
     for fixed, _, directions, _ in spaces.fixed[spaces.dim :]:
-        rows, order = np.flatnonzero(np.isin(part.facets, fixed.facets)), np.argsort(fixed.facets)
-        axes = directions[order[np.searchsorted(fixed.facets, part.facets[rows], sorter=order)]]
+        rows = np.flatnonzero(np.isin(part.facets, fixed.facets))
+        axes = directions[positions(fixed.facets, part.facets[rows])]
         values[rows] -= np.einsum("nqj,nj,ni->nqi", values[rows], axes, axes)
     return values
 

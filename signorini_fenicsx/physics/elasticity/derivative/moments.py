@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, positions
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.derivatives.linearised import Effect, by_moments, to_values
 from signorini_fenicsx.discrete.datum import Datum, datum_of
@@ -71,14 +71,14 @@ def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Arra
         InputError: If a datum is not linear in x.
     """
     rough, slip, dim = spaces.rough.facets, spaces.site_kinds["slip"], spaces.dim
-    order, sites = np.argsort(rough), slip.first + np.arange(len(slip)).reshape(len(rough), dim * (dim - 1))
+    sites = slip.first + np.arange(len(slip)).reshape(len(rough), dim * (dim - 1))
     shear = np.eye(dim)[:, None] * directions.reshape(len(rough), dim, dim - 1, 1)
     for of_law, law in problem.named_laws:
         for (name, given), part in product({} if is_normal(law) else law.data().items(), law.parts):
             key, facets = f"{of_law}.{name}", spaces.part(part)
             datum = datum_of(spaces, key, parsed(given, "xyz"[:dim], key))
             _check_linear(key, datum)
-            rows = order[np.searchsorted(rough, facets.facets, sorter=order)]
+            rows = positions(rough, facets.facets)
             kind, places, matrices = name, dim * rows[:, None] + np.arange(dim), to_values(facets)
             if not isinstance(law, CoulombLaw):
                 kind, places = "line", sites[rows]
