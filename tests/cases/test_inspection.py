@@ -150,15 +150,15 @@ def test_output_of_other_commands_for_programs(tmp_path: Path):
     commands = {
         "export": ["r", "--output", "out"],
         "adapt": ["example1", "--h", "1/2", "--max-cells", "60", "--output", "out"],
-        "convergence": ["example1", "--levels", "1:2", "--reference", "3", "--output", "out"],
+        "convergence": ["example1", "--levels", "0:1", "--reference", "2", "--output", "out"],
     }
     assert signorini(tmp_path, "solve", "example1", "--h", "1/4", "--output", "r", "-q").stdout == ""
     for command, arguments in commands.items():
         done = signorini(tmp_path, command, *arguments, "--json")
         assert (done.returncode, done.stderr) == (0, "")
         assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "summary.json").read_text()), command
-        assert signorini(tmp_path, command, *arguments, "--quiet").stdout == ""
     assert {"rows", "slopes"} <= json.loads((tmp_path / "out" / "summary.json").read_text()).keys()
+    assert signorini(tmp_path, "export", *commands["export"], "--quiet").stdout == ""
     (tmp_path / "two.toml").write_text('case = "example1"\nvary.h = ["1/4", "1/2"]\n')
     planned = json.loads(signorini(tmp_path, "study", "two.toml", "--dry-run", "--json").stdout)
     done = json.loads(signorini(tmp_path, "study", "two.toml", "--json").stdout)

@@ -88,7 +88,7 @@ def test_many_corners(folder: Path):
     u = np.linspace(-0.3, 0.3, 300)
     corners = [(float(a), float(b)) for a, b in zip(u, -8 * np.sinh(3 * u), strict=True)]
     law = Corners(["bottom"], corners, "vertical", "vertical")
-    domain = build_domain(COMM, "square", 0.1, mesh="structured")
+    domain = build_domain(COMM, "square", 0.2, mesh="structured")
     solution = solve(domain, Diffusion("20*sin(5*x)*cos(3*y)", conditions=[law]))
     chains, segment = solution.law, solution.segments().segment
     assert set(chains.count) == {300}
