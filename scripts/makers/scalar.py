@@ -42,6 +42,8 @@ AGREE = 1e-7
 """Largest relative difference of p and σ by rounding."""
 SIZES = {"square": 0.2, "lshape": 0.4, "half_disk": 0.3, "annulus": 0.4, "cube": 0.6, "lprism": 0.9, "ball": 0.9}
 NOT_UNIQUE = "without a unique solution"
+NO_SOLUTION = "no part of the boundary", "u_D on Γ_D", "u cannot be both"
+"""What is said of problems whose solution is not unique, or whose laws contradict each other or u_D."""
 REFERENCES = {"alg1": "vi", "alg2": "vi", "alg3": "snes1", "alg4": "snes2"}
 
 
@@ -186,7 +188,7 @@ def examine(seed: int, *, several: bool = False, inside: bool = False) -> Result
     try:
         return solved(domain, problem, options, words, ways)
     except InputError as error:
-        if "no part of the boundary" in str(error) or "u_D on Γ_D" in str(error):
+        if any(said in str(error) for said in NO_SOLUTION):
             return Result(words, NOT_UNIQUE, np.nan, np.nan)
         raise
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_cases import refined
 from makers.bounds import difference
-from makers.scalar import AGREE_OF_LAWS, examine, halved
+from makers.scalar import AGREE_OF_LAWS, NOT_UNIQUE, examine, halved
 from mpi4py import MPI
 
 from signorini_fenicsx import (
@@ -158,6 +158,11 @@ def test_random_laws(seed: int):
     assert "sets repeat" in result.ending
     assert result.kkt < KKT
     assert result.difference < AGREE_OF_LAWS
+
+
+def test_random_laws_that_contradict_each_other():
+    """The program refuses them, and no random run ends by that."""
+    assert examine(2, several=True, inside=True).ending == NOT_UNIQUE
 
 
 LAWS: list[list[Law]] = [
