@@ -41,7 +41,7 @@ from signorini_fenicsx.api import (
     solve,
 )
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete.pairing import joints
+from signorini_fenicsx.discrete.pairing import pairs_on
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.spaces import build_elastic_spaces
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -255,7 +255,7 @@ def meeting_blocks(dim: int, meeting: Any, names: Sequence[str], high: float = 1
 def phases(domain: Domain, posed: Any, *, bound: bool) -> None:
     """Print seconds of the overlay, of spaces with it, of the solution, and of the bound, and the memory."""
     pairs = [each.on_boundary for each in posed.conditions if isinstance(each, Pair)]
-    found = {"overlay": timed(lambda: joints(domain, pairs, cut=False))[1]}
+    found = {"overlay": timed(lambda: pairs_on(domain, pairs, cut=False))[1]}
     solver, found["spaces"] = timed(lambda: Solver(domain, posed))
     solution, found["solution"] = timed(lambda: solver.solve(posed))
     found["bound"] = timed(lambda: certify(solution))[1] if bound else 0.0

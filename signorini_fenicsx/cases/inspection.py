@@ -181,7 +181,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     totals = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
-    pairs = [each.line() for each in overviews(getattr(spaces, "joints", ()), comm)]
+    pairs = [each.line() for each in overviews(getattr(spaces, "pairs", ()), comm)]
     remarks = [*spaces.notices, *remarks]
     return Checked(totals, _left(case, spaces), _parts(case, spaces), _cells(domain), pairs, remarks)
 

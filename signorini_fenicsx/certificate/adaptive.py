@@ -191,7 +191,7 @@ def with_opposite(spaces: Any, cells: NDArray[np.int32]) -> NDArray[np.int32]:
 
     On them u is linear on facets, and a slave that is finer answers with pressures that go up and down.
     """
-    masters = [joint.coarse_masters(spaces.mesh, cells) for joint in getattr(spaces, "joints", ())]
+    masters = [pair.coarse_masters(spaces.mesh, cells) for pair in getattr(spaces, "pairs", ())]
     return np.unique(np.concatenate([cells, *(cells_behind(spaces.mesh, facets) for facets in masters)]))
 
 

@@ -40,7 +40,7 @@ from signorini_fenicsx.base.owned import cell_nodes
 from signorini_fenicsx.discrete.facet_coefficients import NOTHING, FacetCoefficients
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, opposite
 from signorini_fenicsx.discrete.overlay import Pieces
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.discrete.points import facet_type
 from signorini_fenicsx.expressions.simplices import barycentric_gradients
 
@@ -66,14 +66,14 @@ class Opposite:
 
     @classmethod
     def of(
-        cls, joint: Joint, spaces: LinearTraces, slaves: FacetCoefficients, masters: FacetCoefficients
+        cls, pair: MeshPair, spaces: LinearTraces, slaves: FacetCoefficients, masters: FacetCoefficients
     ) -> "Opposite":
         """The two sides of a pair on all facets of both sides, or some; each piece is on one rank, and there or not."""
-        pieces = joint.pieces.take(np.isin(joint.pieces.slave, slaves.rows))
-        of = (slaves.rows, pieces.slave), (masters.rows, pieces.master - joint.first)
+        pieces = pair.pieces.take(np.isin(pair.pieces.slave, slaves.rows))
+        of = (slaves.rows, pieces.slave), (masters.rows, pieces.master - pair.first)
         rows = [np.searchsorted(some, each) for some, each in of]
-        turned = np.ptp(joint.directions, axis=0).max(initial=0.0) > SAME if len(joint.slaves) else False
-        apart = np.abs(joint.pieces.gap).max(initial=0.0) > SAME * spaces.length
+        turned = np.ptp(pair.directions, axis=0).max(initial=0.0) > SAME if len(pair.slaves) else False
+        apart = np.abs(pair.pieces.gap).max(initial=0.0) > SAME * spaces.length
         return cls(slaves, masters, replace(pieces, slave=rows[0], master=rows[1]), bool(turned and apart))
 
     def across(self, hats: Array) -> tuple[Indices, Array]:

@@ -38,7 +38,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_values, opposite
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.overlay import common_parts
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.meshes.refinement import OBLIQUE
 
 PARTS = {2: 8, 3: 4}
@@ -150,7 +150,7 @@ def hats_on_facet(x: Array) -> Array:
 
 
 def passed_on(
-    spaces: LinearTraces, flows: Iterator[tuple[Joint, Array]], compliance: Array, response: LatticeResponse
+    spaces: LinearTraces, flows: Iterator[tuple[MeshPair, Array]], compliance: Array, response: LatticeResponse
 ) -> Array:
     """How large ⟨r, w⟩ may be beside |w|_T for each owned cell; both sides of a piece are on one rank (collective).
 
@@ -161,10 +161,10 @@ def passed_on(
         response: Of the element.
     """
     of_cells = np.zeros(len(spaces.order))
-    for joint, flow in flows:
-        masters, pieces = spaces.boundary_facets(joint.masters), joint.pieces
+    for pair, flow in flows:
+        masters, pieces = spaces.boundary_facets(pair.masters), pair.pieces
         order, edges = _paths(spaces, masters)
-        rows = pieces.master - joint.first
+        rows = pieces.master - pair.first
         on_master = np.take_along_axis(pieces.on_master, order[rows][:, None], axis=2)
         values = pieces.on_slave @ flow[pieces.slave] / pieces.stretch[:, None, None]
         passed = Passed(rows, on_master, values).checked(len(edges))
@@ -175,12 +175,12 @@ def passed_on(
 
 def pairs_without_bound(spaces: MeshSpaces) -> str:
     """Why there is no bound for the pairs of surfaces, in words; empty if there is one (collective)."""
-    for joint in spaces.joints:
-        rows = joint.pieces.master - joint.first
-        elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())
+    for pair in spaces.pairs:
+        rows = pair.pieces.master - pair.first
+        elsewhere = bool(((rows < 0) | (rows >= len(pair.masters))).any())
         if spaces.mesh.comm.allreduce(elsewhere, MPI.LOR):
             return (
-                f"both sides of the pair {joint.pair.words} have to be on one process for it; give these parts as "
+                f"both sides of the pair {pair.parts.words} have to be on one process for it; give these parts as "
                 "`pairs` where the domain is made, or run on one process"
             )
     return ""

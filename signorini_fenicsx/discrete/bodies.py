@@ -13,7 +13,7 @@ from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs, extreme_around
 
 if TYPE_CHECKING:  # it needs the bodies
-    from signorini_fenicsx.discrete.pairing import Joint
+    from signorini_fenicsx.discrete.pairing import MeshPair
 
 
 def bodies(space: fem.FunctionSpace) -> Indices:
@@ -70,23 +70,23 @@ def without(
     return among[body], int((~has_some).sum())
 
 
-def opposite_bodies(spaces: MeshSpaces, joint: "Joint", of_cell: Indices) -> Indices:
+def opposite_bodies(spaces: MeshSpaces, pair: "MeshPair", of_cell: Indices) -> Indices:
     """The number of what most of each slave facet is opposite to, from a number for each owned cell (collective)."""
-    masters, pieces = cells_behind(spaces.mesh, joint.masters), joint.pieces
-    number = joint.of_masters(spaces.mesh.comm, of_cell[masters])[pieces.master]
-    shares = np.zeros((len(joint.slaves), int(number.max(initial=-1)) + 1))
+    masters, pieces = cells_behind(spaces.mesh, pair.masters), pair.pieces
+    number = pair.of_masters(spaces.mesh.comm, of_cell[masters])[pieces.master]
+    shares = np.zeros((len(pair.slaves), int(number.max(initial=-1)) + 1))
     np.add.at(shares, (pieces.slave, number), pieces.share)
-    return shares.argmax(axis=1) if shares.size else np.zeros(len(joint.slaves), dtype=np.int64)
+    return shares.argmax(axis=1) if shares.size else np.zeros(len(pair.slaves), dtype=np.int64)
 
 
 def _tied_together(spaces: MeshSpaces) -> Indices:
     """The number of its body for each owned cell, where bodies that are tied to one another are one (collective)."""
     body, comm = spaces.bodies, spaces.mesh.comm
     links = [np.empty((0, 2), dtype=np.int64)]
-    for joint in spaces.joints:
-        if joint.pair.tied:
-            masters = joint.of_masters(comm, body[cells_behind(spaces.mesh, joint.masters)])
-            of_pieces = body[cells_behind(spaces.mesh, joint.slaves)][joint.pieces.slave], masters[joint.pieces.master]
+    for pair in spaces.pairs:
+        if pair.parts.tied:
+            masters = pair.of_masters(comm, body[cells_behind(spaces.mesh, pair.masters)])
+            of_pieces = body[cells_behind(spaces.mesh, pair.slaves)][pair.pieces.slave], masters[pair.pieces.master]
             links.append(np.unique(np.column_stack(of_pieces), axis=0))
     several = np.concatenate(comm.allgather(np.concatenate(links)))
     number = comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1

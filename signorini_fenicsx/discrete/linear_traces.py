@@ -28,7 +28,7 @@ from signorini_fenicsx.discrete.hybrid_system import Sides, copies
 from signorini_fenicsx.discrete.mesh_spaces import Facets, MeshSpaces, cells_and_dofs
 
 if TYPE_CHECKING:  # it needs the ranks of nodes
-    from signorini_fenicsx.discrete.pairing import Joint
+    from signorini_fenicsx.discrete.pairing import MeshPair
 
 BLOCK = {2: 4096, 3: 512}
 """Cells, by dimension, whose values are held at a time: some tens of megabytes."""
@@ -290,25 +290,25 @@ class LinearTraces(MeshSpaces):
     @cached_property
     def sides(self) -> Sides:
         """The facets whose unknowns are jumps (collective when first used)."""
-        entries = [self.jumps, *map(self._means_opposite, self.joints)]
+        entries = [self.jumps, *map(self._means_opposite, self.pairs)]
         rows, columns, values = (np.concatenate(each) for each in zip(*entries, strict=True))
         return Sides(self.traces, (rows, columns, values), present=self.several)
 
     @cached_property
     def tied(self) -> Facets:
         """The slave facets that are tied; they have the dual basis in all components."""
-        return np.concatenate([np.empty(0, dtype=np.int32), *(each.slaves for each in self.joints if each.pair.tied)])
+        return np.concatenate([np.empty(0, dtype=np.int32), *(each.slaves for each in self.pairs if each.parts.tied)])
 
-    def frames_of(self, joint: Joint) -> Array:
+    def frames_of(self, pair: MeshPair) -> Array:
         """The directions of the jumps on the slave facets, 0 where there is none, shape (slaves, k, component)."""
-        return np.ones((len(joint.slaves), 1, 1))
+        return np.ones((len(pair.slaves), 1, 1))
 
-    def _means_opposite(self, joint: Joint) -> tuple[Indices, Indices, Array]:
+    def _means_opposite(self, pair: MeshPair) -> tuple[Indices, Indices, Array]:
         """The entries of P of a pair, see `Sides` (collective)."""
-        dim, numbers, pieces, frames = self.dim, self.traces.dofmap.index_map, joint.pieces, self.frames_of(joint)
-        masters = numbers.local_to_global(self.boundary_facets(joint.masters).blocks).astype(np.int64)
-        columns = joint.of_masters(self.mesh.comm, masters)[pieces.master]
-        blocks, parts = self.boundary_facets(joint.slaves).blocks.astype(np.int64), frames.shape[1]
+        dim, numbers, pieces, frames = self.dim, self.traces.dofmap.index_map, pair.pieces, self.frames_of(pair)
+        masters = numbers.local_to_global(self.boundary_facets(pair.masters).blocks).astype(np.int64)
+        columns = pair.of_masters(self.mesh.comm, masters)[pieces.master]
+        blocks, parts = self.boundary_facets(pair.slaves).blocks.astype(np.int64), frames.shape[1]
         a, k, b, i = np.meshgrid(*map(np.arange, (dim, parts, dim, parts)), indexing="ij")
         rows = blocks[pieces.slave, None] * dim * parts + (a * parts + k).ravel()
         values = np.einsum("nab,nki->nakbi", pieces.weights, frames[pieces.slave]).reshape(rows.shape)

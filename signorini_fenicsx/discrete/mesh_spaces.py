@@ -34,7 +34,7 @@ from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.meshes.domain import Domain, facet_pairs
 
 if TYPE_CHECKING:  # it needs these facets
-    from signorini_fenicsx.discrete.pairing import Joint
+    from signorini_fenicsx.discrete.pairing import MeshPair
 
 type Names = Sequence[str]
 type Facets = npt.NDArray[np.int32]
@@ -65,7 +65,7 @@ class MeshSpaces:
         has_dirichlet: Whether any rank has facets of Γ_D.
         neumann_facets: Mesh facets of Γ_N on this rank.
         inner: The facets of Γ_S inside the domain, with those of their other sides.
-        joints: Pairs of surfaces. A slave with a law is in Γ_S: there p is a jump.
+        pairs: Pairs of surfaces. A slave with a law is in Γ_S: there p is a jump.
         n: Outer unit normal.
         ds: Measure of Γ_S on the mesh.
         ds_dirichlet: Measure of Γ_D on the mesh.
@@ -88,7 +88,7 @@ class MeshSpaces:
     has_dirichlet: bool
     neumann_facets: npt.NDArray[np.int32]
     inner: InnerFacets
-    joints: tuple[Joint, ...] = ()
+    pairs: tuple[MeshPair, ...] = ()
     n: ufl.FacetNormal
     ds: ufl.Measure
     ds_dirichlet: ufl.Measure
@@ -112,7 +112,7 @@ class MeshSpaces:
     @property
     def several(self) -> bool:
         """Whether the domain may have several components, between which there are laws."""
-        return self.inner.present or len(self.joints) > 0
+        return self.inner.present or len(self.pairs) > 0
 
     @cached_property
     def bodies(self) -> npt.NDArray[np.int64]:
@@ -134,13 +134,13 @@ class MeshSpaces:
     @property
     def slave_rows(self) -> npt.NDArray[np.intp]:
         """The rows of `facets` of slaves of pairs."""
-        return np.concatenate([np.empty(0, dtype=np.intp), *map(self.rows_of, self.joints)])
+        return np.concatenate([np.empty(0, dtype=np.intp), *map(self.rows_of, self.pairs)])
 
-    def rows_of(self, joint: Joint) -> npt.NDArray[np.intp]:
+    def rows_of(self, pair: MeshPair) -> npt.NDArray[np.intp]:
         """The rows of `facets` of the slaves of a pair; none if they are tied."""
-        if joint.pair.tied:
+        if pair.parts.tied:
             return np.empty(0, dtype=np.intp)
-        return positions(self.facets, joint.slaves)
+        return positions(self.facets, pair.slaves)
 
     @cached_property
     def site_kinds(self) -> Sites:
@@ -276,7 +276,7 @@ def build_mesh_spaces(
     signorini: Names,
     neumann: Names = (),
     inner: Names = (),
-    joints: Sequence[Joint] = (),
+    pairs: Sequence[MeshPair] = (),
     free: Sequence[Facets] = (),
 ) -> MeshSpaces:
     """Create P0 and the facets for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective).
@@ -286,7 +286,7 @@ def build_mesh_spaces(
     """
     mesh = domain.mesh
     dim = mesh.topology.dim
-    left_out = _all([each.left_out for each in joints])
+    left_out = _all([each.left_out for each in pairs])
     gamma, entity_map = fenicsx.submesh(mesh, dim - 1, np.setdiff1d(_facets_of(domain, signorini), left_out))
     Lambda = fenicsx.function_space(gamma, ("DG", 0))
     submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
@@ -296,7 +296,7 @@ def build_mesh_spaces(
     across = inner_facets(domain, facets, inner)
     dirichlet_facets = np.setdiff1d(
         dolfinx.mesh.exterior_facet_indices(mesh.topology),
-        np.concatenate([facets, neumann_facets, across.facets, left_out, *(each.without_law for each in joints)]),
+        np.concatenate([facets, neumann_facets, across.facets, left_out, *(each.without_law for each in pairs)]),
     )
     boundary = [
         (marker, fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(part)))
@@ -321,7 +321,7 @@ def build_mesh_spaces(
         has_dirichlet=mesh.comm.allreduce(len(dirichlet_facets) > 0, MPI.LOR),
         neumann_facets=neumann_facets,
         inner=across,
-        joints=tuple(joints),
+        pairs=tuple(pairs),
         n=ufl.FacetNormal(mesh),
         ds=ds(SIGNORINI),
         ds_dirichlet=ds(DIRICHLET),

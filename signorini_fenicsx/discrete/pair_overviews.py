@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.discrete.overlay import Surface
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 
 FINER = 1.5
 """The slave should have no facets that are smaller than the master's by this factor."""
@@ -76,21 +76,21 @@ class Overview:
         return advice
 
 
-def overviews(joints: Sequence[Joint], comm: MPI.Comm) -> list[Overview]:
+def overviews(pairs: Sequence[MeshPair], comm: MPI.Comm) -> list[Overview]:
     """An overview of each pair (collective)."""
-    return [_overview(joint, comm) for joint in joints]
+    return [_overview(pair, comm) for pair in pairs]
 
 
-def _overview(joint: Joint, comm: MPI.Comm) -> Overview:
-    gaps = joint.pieces.gap / np.einsum("ni,ni->n", joint.directions, joint.slave.normals)[joint.pieces.slave, None]
-    slaves = Surface(*(np.concatenate(comm.allgather(each)) for each in (joint.slave.corners, joint.slave.normals)))
-    counts = comm.allreduce(np.array([len(joint.covered), len(joint.pieces), len(joint.slaves)])).tolist()
+def _overview(pair: MeshPair, comm: MPI.Comm) -> Overview:
+    gaps = pair.pieces.gap / np.einsum("ni,ni->n", pair.directions, pair.slave.normals)[pair.pieces.slave, None]
+    slaves = Surface(*(np.concatenate(comm.allgather(each)) for each in (pair.slave.corners, pair.slave.normals)))
+    counts = comm.allreduce(np.array([len(pair.covered), len(pair.pieces), len(pair.slaves)])).tolist()
     least = comm.allreduce(float(gaps.min(initial=np.inf)), MPI.MIN)
     largest = comm.allreduce(float(gaps.max(initial=-np.inf)), MPI.MAX)
-    sagittas = _sagitta(slaves), _sagitta(joint.master)
-    sizes = _diameter(slaves), _diameter(joint.master)
-    facets = counts[0], len(joint.master.corners)
-    words, takes = joint.pair.words, joint.pair.distance
+    sagittas = _sagitta(slaves), _sagitta(pair.master)
+    sizes = _diameter(slaves), _diameter(pair.master)
+    facets = counts[0], len(pair.master.corners)
+    words, takes = pair.parts.words, pair.parts.distance
     return Overview(words, facets, counts[1], counts[2], (least, largest), sizes, sagittas, takes)
 
 

@@ -25,11 +25,11 @@ COARSER = 1.4
 
 
 @dataclass(frozen=True)
-class Joint:
+class MeshPair:
     """A pair of surfaces on a mesh.
 
     Attributes:
-        pair: The parts.
+        parts: Their names, and what is said of them.
         slaves: The covered slave facets of this rank, all owned.
         left_out: Its slave facets that are not covered; they are free.
         slave: Vertices and normals of `slaves`, in the order of `LinearTraces`.
@@ -41,7 +41,7 @@ class Joint:
         covered: The shares of all slave facets of this rank, in the order of their numbers.
     """
 
-    pair: PairedParts
+    parts: PairedParts
     slaves: Facets
     left_out: Facets
     slave: Surface
@@ -60,7 +60,7 @@ class Joint:
     @property
     def without_law(self) -> Facets:
         """The facets of this rank with no law on them: the masters, and slaves that are tied."""
-        return self.slaves_and_masters if self.pair.tied else self.masters
+        return self.slaves_and_masters if self.parts.tied else self.masters
 
     def of_masters(self, comm: MPI.Intracomm, rows: npt.NDArray) -> npt.NDArray:
         """Rows of this rank's master facets as those of all ranks (collective)."""
@@ -105,12 +105,12 @@ class Joint:
         return np.asarray(comm.allreduce(sums)[self.first : self.first + len(self.masters)])
 
 
-def joints(domain: Domain, pairs: Sequence[PairedParts], *, cut: bool) -> tuple[Joint, ...]:
+def pairs_on(domain: Domain, pairs: Sequence[PairedParts], *, cut: bool) -> tuple[MeshPair, ...]:
     """The pairs on a mesh (collective).
 
     Args:
         domain: The domain.
-        pairs: The pairs.
+        pairs: Their parts.
         cut: Whether the mesh is cut inside the domain, see `node_ranks`.
 
     Raises:
@@ -121,7 +121,7 @@ def joints(domain: Domain, pairs: Sequence[PairedParts], *, cut: bool) -> tuple[
         return ()
     mesh = domain.mesh
     ranks, extents = node_ranks(mesh, cut=cut), _Extents(mesh)
-    return tuple(_joint(domain, pair, ranks, extents) for pair in pairs)
+    return tuple(_pair_on(domain, parts, ranks, extents) for parts in pairs)
 
 
 class _Extents:
@@ -143,37 +143,37 @@ class _Extents:
         return float(mesh.comm.allreduce(min(size), MPI.MIN))
 
 
-def _joint(domain: Domain, pair: PairedParts, ranks: Indices, extents: _Extents) -> Joint:
+def _pair_on(domain: Domain, parts: PairedParts, ranks: Indices, extents: _Extents) -> MeshPair:
     mesh, comm = domain.mesh, domain.mesh.comm
-    if unknown := [part for part in (*pair.slave, *pair.master) if part not in domain.facets]:
-        raise InputError(f"pair {pair.words}: unknown part '{unknown[0]}'; there are {', '.join(domain.facets)}")
+    if unknown := [part for part in (*parts.slave, *parts.master) if part not in domain.facets]:
+        raise InputError(f"pair {parts.words}: unknown part '{unknown[0]}'; there are {', '.join(domain.facets)}")
     slaves, masters = (
-        np.unique(np.concatenate([domain.facets[part] for part in parts])) for parts in (pair.slave, pair.master)
+        np.unique(np.concatenate([domain.facets[part] for part in names])) for names in (parts.slave, parts.master)
     )
     slave, side = _surface(mesh, slaves, ranks), _surface(mesh, masters, ranks)
     master = Surface(*(np.concatenate(comm.allgather(each)) for each in (side.corners, side.normals)))
-    shift = np.zeros(mesh.geometry.dim) if pair.shift is None else np.array(pair.shift)
+    shift = np.zeros(mesh.geometry.dim) if parts.shift is None else np.array(parts.shift)
     if len(shift) != mesh.geometry.dim:
-        raise InputError(f"pair {pair.words}: shift has {len(shift)} components")
+        raise InputError(f"pair {parts.words}: shift has {len(shift)} components")
     directions = slave.normals
-    if pair.direction != "normal":
-        if len(pair.direction) != slave.normals.shape[1]:
-            raise InputError(f"pair {pair.words}: direction has {len(pair.direction)} components")
-        directions = np.tile(np.array(pair.direction) / np.linalg.norm(pair.direction), (len(slaves), 1))
-    within = extents.least(mesh, slaves, masters) / 2 if pair.within is None else pair.within
+    if parts.direction != "normal":
+        if len(parts.direction) != slave.normals.shape[1]:
+            raise InputError(f"pair {parts.words}: direction has {len(parts.direction)} components")
+        directions = np.tile(np.array(parts.direction) / np.linalg.norm(parts.direction), (len(slaves), 1))
+    within = extents.least(mesh, slaves, masters) / 2 if parts.within is None else parts.within
     pieces = overlay(slave, replace(master, corners=master.corners + shift), directions, within)
     shares = pieces.covered(len(slaves))
     whole = np.abs(shares - 1) <= WHOLE
     if not comm.allreduce(bool(whole.any()), MPI.LOR):
         raise InputError(
-            f"pair {pair.words}: no facet of the slave is covered by the master within {within:.4g} along direction; "
+            f"pair {parts.words}: no facet of the slave is covered by the master within {within:.4g} along direction; "
             "check which side is which, the direction, or give a larger within"
         )
     pieces = pieces.take(whole[pieces.slave])
     rows = np.flatnonzero(whole)
     pieces.slave[:] = np.searchsorted(rows, pieces.slave)
-    return Joint(
-        pair=pair,
+    return MeshPair(
+        parts=parts,
         slaves=slaves[rows],
         left_out=slaves[~whole],
         slave=Surface(slave.corners[rows], slave.normals[rows]),

@@ -83,7 +83,7 @@ class Faces:
 
 
 def check_joined(
-    spaces: MeshSpaces, named: Mapping[str, Sequence[str]], joints: Sequence[tuple[Sequence[str], Sequence[str]]] = ()
+    spaces: MeshSpaces, named: Mapping[str, Sequence[str]], pairs: Sequence[tuple[Sequence[str], Sequence[str]]] = ()
 ) -> None:
     """Refuse bodies that overlap, and facets of the boundary that lie on one another (collective).
 
@@ -93,7 +93,7 @@ def check_joined(
     Args:
         spaces: The spaces.
         named: The parts of each kind of boundary.
-        joints: Names of parts that are paired, on both sides; these may lie on one another, and overlap.
+        pairs: Names of parts that are paired, on both sides; these may lie on one another, and overlap.
 
     Raises:
         InputError: If there are such bodies, or such facets but for the two sides of an inner part.
@@ -105,27 +105,27 @@ def check_joined(
     listed = {part for parts in named.values() for part in parts} | set(others.values())
     names = ["", *sorted(spaces.domain.parts, key=lambda part: part in listed)]
     faces = Faces.of(spaces, names)
-    may_overlap = _paired(faces, names, joints)
+    may_overlap = _paired(faces, names, pairs)
     _check_apart(spaces, faces, may_overlap)
-    pairs, same = seams(faces.corners, faces.apexes, faces.rows)
+    rows, same = seams(faces.corners, faces.apexes, faces.rows)
     is_cut = np.zeros((len(names), len(names)), dtype=bool)
     for part, other in others.items():
         two = [names.index(part), names.index(other)]
         is_cut[two, two[::-1]] = True
-    for slave, master in joints:
+    for slave, master in pairs:
         paired = np.ix_([names.index(part) for part in slave], [names.index(part) for part in master])
         is_cut[paired] = True
         is_cut |= is_cut.T
-    lying = ~is_cut[tuple(faces.parts[pairs].T)] & ~(same & may_overlap[tuple(faces.bodies[pairs].T)])
-    pairs, same = (np.concatenate(spaces.mesh.comm.allgather(each[lying])) for each in (pairs, same))
+    lying = ~is_cut[tuple(faces.parts[rows].T)] & ~(same & may_overlap[tuple(faces.bodies[rows].T)])
+    rows, same = (np.concatenate(spaces.mesh.comm.allgather(each[lying])) for each in (rows, same))
     if same.any():
         raise InputError(
-            f"cells overlap: {faces.told(pairs[same])}, lie on one another with their cells on the same side; each "
+            f"cells overlap: {faces.told(rows[same])}, lie on one another with their cells on the same side; each "
             "point must be in one cell only"
         )
-    both = np.sort(faces.parts[pairs], axis=1)
+    both = np.sort(faces.parts[rows], axis=1)
     for one, other in np.unique(both, axis=0).tolist():
-        parts, where = sorted((names[one], names[other])), faces.told(pairs[(both == [one, other]).all(axis=1)])
+        parts, where = sorted((names[one], names[other])), faces.told(rows[(both == [one, other]).all(axis=1)])
         words = f"{_lie(*parts)} ({where}) and share no facet: nothing passes from one to the other"
         if not set(parts) <= set(named.get("neumann", ())):
             raise InputError(f"{words}; {SHARE}; {PAIR}")
@@ -139,10 +139,10 @@ def _lie(one: str, other: str) -> str:
     return f"{f"part '{one}'" if one else 'facets in no part'} and part '{other}' lie on one another"
 
 
-def _paired(faces: Faces, names: Sequence[str], joints: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Mask:
+def _paired(faces: Faces, names: Sequence[str], pairs: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Mask:
     """Whether facets of two bodies are paired, shape (bodies, bodies)."""
     paired = np.zeros((faces.bodies.max(initial=-1) + 1,) * 2, dtype=bool)
-    for sides in joints:
+    for sides in pairs:
         slave, master = (faces.bodies[np.isin(faces.parts, [names.index(part) for part in side])] for side in sides)
         paired[np.ix_(np.unique(slave), np.unique(master))] = True
     return paired | paired.T

@@ -120,10 +120,10 @@ def _arrays(solution: Solved) -> Arrays:
     arrays["facet_vertices"] = renumbered(arrays["facet_vertices"])
     for index, facets in enumerate(domain.facets.values()):
         arrays[f"part_{index}"] = renumbered(facet_vertices(mesh, facets))
-    inner, joints, original = spaces.inner, getattr(spaces, "joints", ()), original_cells(mesh)
-    if inner.present or joints:
+    inner, surfaces, original = spaces.inner, getattr(spaces, "pairs", ()), original_cells(mesh)
+    if inner.present or surfaces:
         pairs = original[np.column_stack([spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])]
-        groups = [original[cells_behind(mesh, np.append(joint.slaves_and_masters, joint.left_out))] for joint in joints]
+        groups = [original[cells_behind(mesh, np.append(pair.slaves_and_masters, pair.left_out))] for pair in surfaces]
         arrays["together"] = order.places(np.vstack([pairs, brought_together(comm, groups)]).ravel()).reshape(-1, 2)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})
 

@@ -81,7 +81,7 @@ def test_masters_are_refined_with_slaves(lower: int, opposite: list[float]) -> N
     spaces = Solver(domain, problem).spaces
     centre = spaces.vertices.mean(axis=1)
     behind, beside = ((abs(centre[:, 1]) < 1 / 5) & (centre[:, 1] * side > 0) for side in (1, -1))
-    on_pair = np.isin(np.arange(len(centre)), cells_behind(domain.mesh, spaces.joints[0].slaves_and_masters))
+    on_pair = np.isin(np.arange(len(centre)), cells_behind(domain.mesh, spaces.pairs[0].slaves_and_masters))
     chosen = np.flatnonzero(behind & on_pair & (centre[:, 0] < 1 / 3)).astype(np.int32)
     marked = with_opposite(spaces, chosen)
     assert set(chosen) <= set(marked)

@@ -148,5 +148,5 @@ def test_the_flux_of_a_dense_programme() -> None:
     assert 0 < np.count_nonzero(pressure < 1e-10) < len(pressure)
     norms = solution.norms()
     assert norms["sigma_L2"] == pytest.approx(np.sqrt(sigma @ programme.A @ sigma), rel=1e-6)
-    found = solution.flux_at[solution.spaces.rows_of(solution.spaces.joints[0])]
+    found = solution.flux_at[solution.spaces.rows_of(solution.spaces.pairs[0])]
     np.testing.assert_allclose(np.sort(found.ravel()), np.sort(pressure), atol=1e-6)

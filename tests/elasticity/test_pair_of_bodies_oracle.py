@@ -145,7 +145,7 @@ def test_the_stress_of_a_dense_programme(mu: float, tolerance: float) -> None:
     domain = two(MPI.COMM_SELF, UPPER, LOWER, gap=GAP, shear=SLOPE)
     solution = solve(domain, Elasticity(young=1, poisson=POISSON, conditions=[free, *held, pair]))
     assert solution.norms()["energy"] == pytest.approx(np.sqrt(sigma @ programme.A @ sigma), rel=tolerance)
-    rows, bound = solution.spaces.rows_of(solution.spaces.joints[0]), mu * pressure if mu else SHEAR
+    rows, bound = solution.spaces.rows_of(solution.spaces.pairs[0]), mu * pressure if mu else SHEAR
     slides = np.abs(shear) > bound - 1e-9
     assert 0 < np.count_nonzero(pressure < 1e-12) < len(pressure)
     assert 1 < np.count_nonzero(slides) < len(slides)

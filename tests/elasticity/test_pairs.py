@@ -170,7 +170,7 @@ def test_hydrostatic_pressure_on_a_slanted_interface(shear: float, direction: An
     given = Dirichlet(names, [f"-{strain}*x", f"-{strain}*y"])
     pair = Pair("u10", "l11", direction=direction, within=0.3)
     solution = solve(domain, Elasticity(young=1, poisson=0.3, conditions=[given, pair]))
-    covered = np.concatenate([joint.covered for joint in solution.spaces.joints])
+    covered = np.concatenate([pair.covered for pair in solution.spaces.pairs])
     np.testing.assert_allclose(covered, 1.0, atol=1e-12)
     np.testing.assert_allclose(solution.stresses, np.broadcast_to(-np.eye(2), solution.stresses.shape), atol=1e-12)
 

@@ -302,7 +302,7 @@ class DiffusionSteps:
 
 def instead_of_rt1(spaces: Spaces) -> str:
     """What to do where there is no RT1."""
-    return "pairs of surfaces take no other, so mesh the bodies as one" if spaces.joints else "take RT0"
+    return "pairs of surfaces take no other, so mesh the bodies as one" if spaces.pairs else "take RT0"
 
 
 def problem_of_step(problem: Problem, evolution: Evolution, step: int, dim: int) -> Problem:

@@ -146,7 +146,7 @@ def _as_left(data: Any, spaces: Any, memory: fem.Function | None, stored: Stored
 
 def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     options, mesh = stored.options, spaces.mesh
-    if options.element == "RT1" or spaces.joints:
+    if options.element == "RT1" or spaces.pairs:
         return _read_linear(problem, spaces, stored)
     centroid, divergence, means = (stored.in_cells(spaces, key) for key in ("sigma", "divergence", "u"))
     u = function_of(spaces.Q, means, "u")

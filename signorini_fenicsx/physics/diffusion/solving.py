@@ -388,9 +388,9 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
     if spaces.several and not method.takes_inner:
         usable = methods_that(lambda other: other.takes_inner)
-        what = "pairs" if spaces.joints else "parts inside the domain"
+        what = "pairs" if spaces.pairs else "parts inside the domain"
         raise InputError(f"{options.algorithm_name} does not take {what}; {usable} do")
-    if spaces.joints and options.backend != "hybrid":
+    if spaces.pairs and options.backend != "hybrid":
         raise InputError("[solve] backend: pairs take the hybrid one; leave it out")
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):

@@ -246,7 +246,7 @@ def gap_parts(
     oscillation = load_oscillation(
         spaces, data, metric, flux, load, reaction, memory, resolution, of_laws, inside.takes_f, enough
     )
-    if isinstance(spaces, LinearSpaces) and spaces.joints:
+    if isinstance(spaces, LinearSpaces) and spaces.pairs:
         oscillation = oscillation + passed_on(spaces, metric, of_y.y)
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:

@@ -383,7 +383,7 @@ def _with_exact_data(
 def _jumps_judged(trace: LawTrace, on: OnGammaS, inside: Inside, hindrance: str) -> tuple[Array, str]:
     """What v lacks at pairs, see `LawTrace.lacking`, and why the jumps are not admissible, in words (collective)."""
     spaces, lacking = on.spaces, np.zeros((len(on.spaces.cell_measures), 2))
-    if spaces.joints:
+    if spaces.pairs:
         lacking, of_pairs = trace.lacking(spaces)
         of_laws = OF_LAWS if inside.meets(lacking[:, 0] > 0) else ""
         hindrance = hindrance or of_pairs or of_laws or on.beyond()

@@ -102,7 +102,7 @@ def admissible_flux(
 def _passes(spaces: LinearSpaces, sigma: fem.Function) -> bool:
     """Whether masters take what goes through slaves, but for rounding (collective)."""
     values = spaces.flux_values(sigma)
-    left = max([np.abs(each).max(initial=0.0) for _, each in passed(spaces, values)]) if spaces.joints else 0.0
+    left = max([np.abs(each).max(initial=0.0) for _, each in passed(spaces, values)]) if spaces.pairs else 0.0
     sizes = float(left), float(np.abs(values).max(initial=0.0))
     most, size = (spaces.mesh.comm.allreduce(each, MPI.MAX) for each in sizes)
     return bool(most <= ROUNDING * size)

@@ -19,7 +19,7 @@ from signorini_fenicsx.discrete.bernstein import basis, degree_of, nodes_of
 from signorini_fenicsx.discrete.cell_shapes import Entities
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw
 from signorini_fenicsx.discrete.points import (
     FacetPoints,
@@ -137,7 +137,7 @@ class LawTrace:
     moved: fem.Function
     levels: list[tuple[Datum, fem.Function, fem.Function]]
     bounds: list[Bound]
-    opposites: list[tuple[Joint, Opposite]]
+    opposites: list[tuple[MeshPair, Opposite]]
 
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """The jet of the bound (collective)."""
@@ -158,19 +158,20 @@ class LawTrace:
         if spaces.inner.present:
             across, order = points.across(spaces.inner.rows, spaces.inner.facets)
             values[spaces.inner.rows] -= np.take_along_axis(self._on_facets(across), order, axis=1)
-        for joint, pair in self.opposites:
-            if not joint.pair.tied:
-                on_slaves = in_facets(spaces.mesh, joint.slaves, points.points)
-                values[spaces.rows_of(joint)] -= self._opposite(pair, on_slaves)
+        for pair, sides in self.opposites:
+            if not pair.parts.tied:
+                on_slaves = in_facets(spaces.mesh, pair.slaves, points.points)
+                values[spaces.rows_of(pair)] -= self._opposite(sides, on_slaves)
         return values
 
     def jumps_of_tied(self, parts: int) -> float:
         """The largest jump of v + d where pairs are tied in points of facets whose edges are cut (collective)."""
         mesh, largest = self.v.function_space.mesh, 0.0
-        for joint, pair in self.opposites:
-            if joint.pair.tied:
-                points = facet_lattice(mesh, joint.slaves, parts)
-                largest = max(largest, np.abs(self._on_facets(points) - self._opposite(pair, points)).max(initial=0.0))
+        for pair, sides in self.opposites:
+            if pair.parts.tied:
+                points = facet_lattice(mesh, pair.slaves, parts)
+                jumps = self._on_facets(points) - self._opposite(sides, points)
+                largest = max(largest, np.abs(jumps).max(initial=0.0))
         return float(mesh.comm.allreduce(largest, MPI.MAX))
 
     def lacking(self, spaces: Spaces) -> tuple[Array, str]:

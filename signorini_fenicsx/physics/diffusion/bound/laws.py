@@ -130,7 +130,7 @@ class Goal:
         """
         rough = [part for part in self.parts if any(map(is_rough, part.data.values()))]
         alone = len(rough) == 1 and type(rough[0].law) is Signorini and not spaces.inner.present
-        slaves = {name for joint in spaces.joints for name in joint.pair.slave}
+        slaves = {name for pair in spaces.pairs for name in pair.parts.slave}
         return rough[0] if alone and slaves.isdisjoint(rough[0].law.parts) else None
 
 

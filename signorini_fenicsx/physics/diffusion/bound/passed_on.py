@@ -53,7 +53,5 @@ def response(dim: int) -> Response:
 def passed_on(spaces: LinearSpaces, metric: CellMetric, y: fem.Function) -> Array:
     """How large ⟨r, w⟩ may be beside |w|_T for each owned cell; both sides of a piece are on one rank (collective)."""
     values = spaces.flux_values(y)
-    flows = (
-        (joint, -spaces.through(spaces.boundary_facets(joint.slaves), values)[:, :, None]) for joint in spaces.joints
-    )
+    flows = ((pair, -spaces.through(spaces.boundary_facets(pair.slaves), values)[:, :, None]) for pair in spaces.pairs)
     return of_pairs.passed_on(spaces, flows, metric.inverse / metric.low[:, None, None], response(spaces.dim))

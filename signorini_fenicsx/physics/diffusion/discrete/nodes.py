@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.facet_coefficients import FacetCoefficients, in_
 from signorini_fenicsx.discrete.linear_traces import LinearTraces
 from signorini_fenicsx.discrete.matrices import identity_with
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.discrete.points import (
     Entities,
     facet_type,
@@ -204,21 +204,21 @@ class _Following:
         jump, tied, kept = (np.zeros(len(wall), dtype=bool) for _ in range(3))
         none = np.empty(0, dtype=np.int64)
         entries = [(none, none, np.empty(0))], [(none, none, np.empty(0))]
-        pairs = sorted(opposites(space, spaces), key=lambda of: not of[0].pair.tied)
-        for _, pair in pairs:
-            others = others | _somewhere(space, pair.masters.nodes.ravel())
-        for joint, pair in pairs:
-            nodes, weights = pair.conditions()
+        pairs = sorted(opposites(space, spaces), key=lambda of: not of[0].parts.tied)
+        for _, sides in pairs:
+            others = others | _somewhere(space, sides.masters.nodes.ravel())
+        for pair, sides in pairs:
+            nodes, weights = sides.conditions()
             named, rank = nodes[:, 0], float(space.mesh.comm.rank)
             free = wall[named] & ((weights[:, 1:] != 0) & ~wall[nodes[:, 1:]]).any(axis=1)
             first = extreme_around(space, named, np.full(len(named), rank), largest=False)[named] == rank
-            left_out = others[named] | free | (held[named] & (not joint.pair.tied))
+            left_out = others[named] | free | (held[named] & (not pair.parts.tied))
             chosen = first & ~left_out & ~jump[named]
             for found, of_values in zip(entries, (False, True), strict=True):
-                found.append(_entries(space, *(each[chosen] for each in pair.conditions(of_values=of_values))))
+                found.append(_entries(space, *(each[chosen] for each in sides.conditions(of_values=of_values))))
             kept |= _somewhere(space, named[left_out])
             following = _somewhere(space, named[chosen])
-            tied |= following & joint.pair.tied
+            tied |= following & pair.parts.tied
             jump |= following
         both = ([np.concatenate(each) for each in zip(*found, strict=True)] for found in entries)
         return cls(jump, tied, kept & ~jump, *((rows, columns, values) for rows, columns, values in both))
@@ -232,7 +232,7 @@ def _entries(space: fem.FunctionSpace, nodes: Indices, weights: Array) -> _Entri
     return rows.astype(np.int64), columns.astype(np.int64), -weights[:, 1:][used]
 
 
-def opposites(space: fem.FunctionSpace, spaces: Spaces) -> list[tuple[Joint, Opposite]]:
+def opposites(space: fem.FunctionSpace, spaces: Spaces) -> list[tuple[MeshPair, Opposite]]:
     """The pairs of surfaces by the nodes of a space; none for RT0, which has none."""
     if not isinstance(spaces, LinearTraces):
         return []
@@ -242,9 +242,7 @@ def opposites(space: fem.FunctionSpace, spaces: Spaces) -> list[tuple[Joint, Opp
         of_facets = np.take_along_axis(facet_nodes(space, facets), in_order(on.ranking, degree), axis=1)
         return FacetCoefficients(on, np.arange(len(facets)), on.cells.astype(np.int64), of_facets, degree)
 
-    return [
-        (joint, Opposite.of(joint, spaces, nodes_on(joint.slaves), nodes_on(joint.masters))) for joint in spaces.joints
-    ]
+    return [(pair, Opposite.of(pair, spaces, nodes_on(pair.slaves), nodes_on(pair.masters))) for pair in spaces.pairs]
 
 
 def _somewhere(space: fem.FunctionSpace, nodes: Entities) -> Mask:

@@ -31,7 +31,7 @@ from signorini_fenicsx.discrete.mesh_spaces import (
     build_mesh_spaces,
     cells_and_dofs,
 )
-from signorini_fenicsx.discrete.pairing import joints
+from signorini_fenicsx.discrete.pairing import pairs_on
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.paired_parts import PairedParts
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, nodes, reference
@@ -152,7 +152,7 @@ def build_spaces(
 
     The parts of Γ_S in `inner` are inside the domain.
     """
-    on_mesh = build_mesh_spaces(domain, signorini, neumann, inner, joints(domain, pairs, cut=bool(inner)))
+    on_mesh = build_mesh_spaces(domain, signorini, neumann, inner, pairs_on(domain, pairs, cut=bool(inner)))
     mesh, n, ds = domain.mesh, on_mesh.n, on_mesh.ds.reconstruct(subdomain_id="everywhere")
     V = fenicsx.function_space(mesh, ("RT", 1))
     flux_dofs = cells_and_dofs(V, on_mesh.facets)[1]

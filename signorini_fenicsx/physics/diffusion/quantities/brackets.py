@@ -248,7 +248,7 @@ class Integrals(beside.IntegralsBeside[Admissible], _Beside):
 
     def __init__(self, solution: Solution, kind: Integral):
         super().__init__(solution, kind)
-        if self.spaces.joints and self.weight.polynomial is None:
+        if self.spaces.pairs and self.weight.polynomial is None:
             raise InputError("weight: where surfaces are paired it has to be a polynomial")
 
     def discrete(self) -> float:
@@ -276,7 +276,7 @@ class Integrals(beside.IntegralsBeside[Admissible], _Beside):
         In cells that is ∫|wd| ≤ ‖w‖ ‖d‖; on a facet e of T it is dim ‖d‖²_e |T|/|e| ≤ dim ‖d‖² + 2 diam(T) ‖d‖ ‖∇d‖.
         """
         missed, dim = 0.0, self.spaces.mesh.topology.dim
-        for points in self.where(power=2) if self.spaces.joints else ():
+        for points in self.where(power=2) if self.spaces.pairs else ():
             cells, size = points.cells, np.sqrt(points.integrals(self.weight.values(points) ** 2))
             d, slope = (each[cells] for each in (of.trace.lacked, of.trace.lacking))
             if self.kind.parts:

@@ -61,7 +61,7 @@ def exact_errors(solution: "Solution", exact: Datum) -> dict[str, float]:
     by_name = dict(zip(names, norms, strict=True))
     if data.memory is not None or data.inside:
         del by_name["div_sigma_L2"]
-    if not spaces.joints:
+    if not spaces.pairs:
         by_name["contact_hausdorff"] = hausdorff(solution.contact_set(), exact_contact(spaces, data, exact))
     return by_name
 

@@ -52,10 +52,10 @@ def table(solution: LinearSolution) -> VertexTable:
     strongest = np.argmax(condition, axis=1)[:, None]
     u = solution.u_means[spaces.cells]
     u[spaces.inner.rows] -= solution.u_means[spaces.across.cells]
-    for joint in spaces.joints:
-        of_masters = np.repeat(solution.u_means[cells_behind(spaces.mesh, joint.masters), None], spaces.dim, axis=1)
-        if not joint.pair.tied:
-            u[spaces.rows_of(joint)] -= joint.opposite(spaces.mesh.comm, of_masters).mean(axis=1)
+    for pair in spaces.pairs:
+        of_masters = np.repeat(solution.u_means[cells_behind(spaces.mesh, pair.masters), None], spaces.dim, axis=1)
+        if not pair.parts.tied:
+            u[spaces.rows_of(pair)] -= pair.opposite(spaces.mesh.comm, of_masters).mean(axis=1)
     return VertexTable(
         **of_facets(solution),
         u=u,

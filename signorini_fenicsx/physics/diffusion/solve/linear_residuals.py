@@ -113,15 +113,15 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
 def passed(spaces: LinearSpaces, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
     """What masters do not take of what goes through slaves, and what goes through slaves without one (collective)."""
     nothing = np.empty(0, dtype=np.int32)
-    facets = np.unique(np.concatenate([nothing, *(joint.masters for joint in spaces.joints)]))
+    facets = np.unique(np.concatenate([nothing, *(pair.masters for pair in spaces.pairs)]))
     masters = spaces.boundary_facets(facets)
     left = spaces.through(masters, sigma)
-    for joint in spaces.joints:
-        flux = spaces.through(spaces.boundary_facets(joint.slaves), sigma)[:, :, None]
-        rows, passed = np.searchsorted(facets, joint.masters), joint.onto_masters(spaces.mesh.comm, flux)[:, :, 0]
+    for pair in spaces.pairs:
+        flux = spaces.through(spaces.boundary_facets(pair.slaves), sigma)[:, :, None]
+        rows, passed = np.searchsorted(facets, pair.masters), pair.onto_masters(spaces.mesh.comm, flux)[:, :, 0]
         left[rows] += linear_values(passed, masters.measure[rows])
     yield masters, left
-    free = spaces.boundary_facets(np.concatenate([nothing, *(joint.left_out for joint in spaces.joints)]))
+    free = spaces.boundary_facets(np.concatenate([nothing, *(pair.left_out for pair in spaces.pairs)]))
     yield free, spaces.through(free, sigma)
 
 
@@ -137,10 +137,10 @@ def _of_traces(spaces: LinearSpaces, data: LinearData, trace: Array, sizes: Arra
         (spaces.contact, linear_from_means(means)),
     ):
         squares[facets.blocks] = (mean[facets.blocks] - given) ** 2
-    for joint in spaces.joints:
-        slaves, masters = map(spaces.boundary_facets, (joint.slaves, joint.masters))
-        opposite = linear_from_means(joint.opposite(spaces.mesh.comm, mean[masters.blocks]))
-        jump = 0.0 if joint.pair.tied else linear_from_means(means)[spaces.rows_of(joint)]
+    for pair in spaces.pairs:
+        slaves, masters = map(spaces.boundary_facets, (pair.slaves, pair.masters))
+        opposite = linear_from_means(pair.opposite(spaces.mesh.comm, mean[masters.blocks]))
+        jump = 0.0 if pair.parts.tied else linear_from_means(means)[spaces.rows_of(pair)]
         squares[slaves.blocks] = (mean[slaves.blocks] - opposite - jump) ** 2
     named, across = spaces.contact.blocks[inner], spaces.across.blocks
     squares[named] = (mean[named] - mean[across] - linear_from_means(means)[inner]) ** 2

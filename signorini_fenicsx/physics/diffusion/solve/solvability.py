@@ -56,9 +56,9 @@ def _sides(spaces: Spaces, data: Data, of_cell: Indices) -> tuple[Indices, Indic
     named, across = of_cell[spaces.cells], np.zeros(len(spaces.facets), dtype=np.int64)
     space = spaces.crouzeix_raviart
     across[spaces.inner.rows] = of_cell[cells_and_dofs(space, spaces.inner.facets)[0]]
-    for joint in spaces.joints:
-        if not joint.pair.tied:
-            across[spaces.rows_of(joint)] = opposite_bodies(spaces, joint, of_cell)
+    for pair in spaces.pairs:
+        if not pair.parts.tied:
+            across[spaces.rows_of(pair)] = opposite_bodies(spaces, pair, of_cell)
     facet, cell = (math.prod(kind.shape) for kind in spaces.site_kinds)
     named, across = np.repeat(named, facet), np.repeat(across, facet)
     if data.inside:

@@ -228,10 +228,10 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     cells = spaces.contact.cells[spaces.inner.rows], spaces.across.cells
     for one, other in (cells, cells[::-1]):  # v may jump between both sides, so both are there
         chosen[other[chosen[one]]] = True
-    if spaces.joints:  # all of them or none: each piece is on two
-        at_pairs = np.concatenate([cells_behind(spaces.mesh, each.slaves_and_masters) for each in spaces.joints])
+    if spaces.pairs:  # all of them or none: each piece is on two
+        at_pairs = np.concatenate([cells_behind(spaces.mesh, each.slaves_and_masters) for each in spaces.pairs])
         if spaces.dim == 3 and any(
-            each.pair.tied for each in spaces.joints
+            each.parts.tied for each in spaces.pairs
         ):  # what v lacks where it is tied is also on cells around edges
             around = sums_at(spaces.mesh.geometry.index_map(), nodes[at_pairs])[nodes] > 0
             at_pairs = np.flatnonzero(around.any(axis=1))

@@ -56,7 +56,7 @@ def floors(spaces: ElasticSpaces, data: ElasticData, pressure: Array, displaceme
     is_open = (pressure == 0).all(axis=1) & (wanted > u_n)
     if gap.polynomial is not None and gap.polynomial <= OF_V:
         is_open &= least < wanted
-    for rows in (*(law.rows for law in data.laws.of_parts), *map(spaces.rows_of, spaces.joints)):
+    for rows in (*(law.rows for law in data.laws.of_parts), *map(spaces.rows_of, spaces.pairs)):
         is_open[rows] = False
     raised = gap.values(corners)
     for mask, part in gap.by_facets(contact.facets):

@@ -59,7 +59,7 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
         of_cells[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
             of_cells[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
-    if spaces.joints:
+    if spaces.pairs:
         of_cells += passed_on(spaces, stresses, everywhere)
     beyond, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + of_cells)
     return of_cells + beyond, together

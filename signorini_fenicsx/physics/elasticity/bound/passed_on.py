@@ -48,5 +48,5 @@ def passed_on(spaces: ElasticSpaces, stresses: Array, compliance: Array) -> Arra
         stresses: Values of σ_h, as in `SplitMesh.values`.
         compliance: On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries).
     """
-    flows = ((joint, -spaces.tractions(spaces.boundary_facets(joint.slaves), stresses)) for joint in spaces.joints)
+    flows = ((pair, -spaces.tractions(spaces.boundary_facets(pair.slaves), stresses)) for pair in spaces.pairs)
     return of_pairs.passed_on(spaces, flows, compliance, response(spaces.dim))

@@ -17,19 +17,19 @@ from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, 
 
 def tied_pairs(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> Iterator[Opposite]:
     """The tied pairs on the split mesh or a part of it."""
-    for joint in spaces.joints:
-        if joint.pair.tied:
+    for pair in spaces.pairs:
+        if pair.parts.tied:
             slaves, masters = (
-                facet_coefficients(split, space, spaces.boundary_facets(each)) for each in (joint.slaves, joint.masters)
+                facet_coefficients(split, space, spaces.boundary_facets(each)) for each in (pair.slaves, pair.masters)
             )
-            yield Opposite.of(joint, spaces, slaves, masters)
+            yield Opposite.of(pair, spaces, slaves, masters)
 
 
 def lacking(
     pairs: Sequence[Opposite], spaces: ElasticSpaces, data: ElasticData, v: fem.Function
 ) -> tuple[Array, float]:
     """‖ε(d)‖² and ‖d‖² on each owned cell, and the largest jump of r on this rank (collective)."""
-    masters = [spaces.boundary_facets(joint.masters) for joint in spaces.joints]
+    masters = [spaces.boundary_facets(pair.masters) for pair in spaces.pairs]
     everything = [spaces.contact, spaces.across, data.supports.facets, *masters]
     given = [(facets, np.tile(np.eye(3)[k], (len(facets.cells), 1))) for facets in everything for k in range(3)]
     given += [(each.facets, each.axes) for each in spaces.fixed]

@@ -163,19 +163,19 @@ def in_pieces(
     contact: ContactCoefficients, spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace
 ) -> ContactCoefficients:
     """The same with the slave facets of pairs piece by piece; both sides of a piece are on one rank, and on `split`."""
-    for joint in (joint for joint in spaces.joints if not joint.pair.tied):
-        slaves, pieces = spaces.rows_of(joint), joint.pieces
-        masters = facet_coefficients(split, space, spaces.boundary_facets(joint.masters))
+    for pair in (pair for pair in spaces.pairs if not pair.parts.tied):
+        slaves, pieces = spaces.rows_of(pair), pair.pieces
+        masters = facet_coefficients(split, space, spaces.boundary_facets(pair.masters))
         plain = np.flatnonzero(~np.isin(contact.rows, slaves))
         pieces = pieces.take(np.isin(slaves[pieces.slave], contact.rows))
         order = np.argsort(contact.rows, kind="stable")  # those of pairs before are at the end
         at = np.searchsorted(contact.rows, slaves[pieces.slave], sorter=order)
         picked = plain[:0] if len(pieces) == 0 else order[at]
         rows, first = np.append(plain, picked), len(plain)
-        across = np.searchsorted(masters.rows, pieces.master - joint.first)
+        across = np.searchsorted(masters.rows, pieces.master - pair.first)
         opened = np.zeros((len(pieces), spaces.dim))
-        if joint.pair.distance:
-            linear = linear_from_means(joint.pieces.means(len(slaves)))
+        if pair.parts.distance:
+            linear = linear_from_means(pair.pieces.means(len(slaves)))
             opened = pieces.gap - np.einsum("pca,pa->pc", pieces.on_slave, linear[pieces.slave])
         on_pieces = (contact.restricted(pieces.on_slave), contact.restricted(pieces.on_master))
         corners = np.concatenate([contact.corners[plain], pieces.on_slave])

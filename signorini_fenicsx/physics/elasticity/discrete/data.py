@@ -233,10 +233,10 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     g_N, before = tractions_given(spaces, problem), before or FromBefore()
     pulls, friction = pulls_of(spaces, before.pulls), before.friction
     gap = beyond_surfaces(spaces, datum_on_parts(spaces, "gap", problem.gap), problem.surface)
-    for joint in spaces.joints:
-        if joint.pair.distance and not joint.pair.tied:
-            opened = linear_from_means(joint.pieces.means(len(joint.slaves)))
-            gap = RaisedGap.of(gap, spaces.boundary_facets(joint.slaves), opened)
+    for pair in spaces.pairs:
+        if pair.parts.distance and not pair.parts.tied:
+            opened = linear_from_means(pair.pieces.means(len(pair.slaves)))
+            gap = RaisedGap.of(gap, spaces.boundary_facets(pair.slaves), opened)
     most = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
     quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, most + 1), LARGEST_DEGREE))
     lift, load = fem.Function(spaces.traces), la.vector(spaces.traces.dofmap.index_map, dim**2)

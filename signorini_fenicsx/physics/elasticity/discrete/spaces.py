@@ -20,7 +20,7 @@ from signorini_fenicsx.base.owned import cell_nodes, function_at, original_cells
 from signorini_fenicsx.contact.sites import SiteKind, Sites
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces, opposite
 from signorini_fenicsx.discrete.mesh_spaces import build_mesh_spaces
-from signorini_fenicsx.discrete.pairing import Joint, joints
+from signorini_fenicsx.discrete.pairing import MeshPair, pairs_on
 from signorini_fenicsx.meshes.domain import AXES, Domain, distribute
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, TANGENTIAL, ElasticBoundary
 
@@ -184,12 +184,12 @@ class ElasticSpaces(LinearTraces):
             frames.append((self.boundary_facets(self.tied), np.tile(everything, (self.tied.size, 1, 1))))
         return frames
 
-    def frames_of(self, joint: Joint) -> Array:
+    def frames_of(self, pair: MeshPair) -> Array:
         """See `LinearTraces.frames_of`: the normal and, with friction, tangents; all components where it is tied."""
-        if joint.pair.tied:
-            return np.tile(np.eye(self.dim), (len(joint.slaves), 1, 1))
-        frames = _frames(self.boundary_facets(joint.slaves).normals)  # as in `frames`, to the last digit
-        frames[~np.isin(joint.slaves, self.rough.facets), 1:] = 0.0
+        if pair.parts.tied:
+            return np.tile(np.eye(self.dim), (len(pair.slaves), 1, 1))
+        frames = _frames(self.boundary_facets(pair.slaves).normals)  # as in `frames`, to the last digit
+        frames[~np.isin(pair.slaves, self.rough.facets), 1:] = 0.0
         return frames
 
     def rows_on(self, part: str) -> Indices:
@@ -300,7 +300,7 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
     flat = [part for part, components in boundary.fixed.items() if "z" in components]
     if domain.mesh.geometry.dim == 2 and flat:
         raise InputError(f"[boundary] fixed: part '{flat[0]}' is fixed in z, which there is only in space")
-    pairs = joints(domain, boundary.pairs, cut=bool(boundary.inner))
+    pairs = pairs_on(domain, boundary.pairs, cut=bool(boundary.inner))
     loaded = [*boundary.neumann, *(part for part in boundary.fixed if part not in boundary.contact)]
     on_mesh = build_mesh_spaces(
         domain, boundary.contact, loaded, boundary.inner, pairs, [each.left_out for each in pairs]

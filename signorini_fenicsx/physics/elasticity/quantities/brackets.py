@@ -339,7 +339,7 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
     def _lacked(self, of: _Side, size: float) -> float:
         """∫ |wd| in cells for a direction of this size, at most ‖w‖ ‖d‖ on each, on this rank (collective)."""
         missed = 0.0
-        for points in self.where(power=2) if self.spaces.joints else ():
+        for points in self.where(power=2) if self.spaces.pairs else ():
             missed += float(np.sqrt(points.integrals(self.weight.values(points) ** 2)) @ of.lacked[points.cells])
         return size * missed
 

@@ -87,7 +87,7 @@ def energy(solution: ElasticSolution) -> Quantity:
     with the integral over the slaves. The last two terms are in its gap, too: so the lower bound has that of v.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
-    if spaces.joints and data.laws.of_parts:
+    if spaces.pairs and data.laws.of_parts:
         raise InputError("Energy: of pairs there is none with other laws than contact and friction")
     y = admissible_stress(solution)
     problem = BestDisplacement(spaces, data, y, spaces.split, degree_of_v(data))

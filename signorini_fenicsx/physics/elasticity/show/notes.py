@@ -10,7 +10,7 @@ from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_words
 from signorini_fenicsx.discrete.curved import curved_parts
 from signorini_fenicsx.discrete.pair_overviews import Overview, overviews
-from signorini_fenicsx.discrete.pairing import COARSER, Joint
+from signorini_fenicsx.discrete.pairing import COARSER, MeshPair
 from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -37,25 +37,25 @@ def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
         for mask, part in datum.by_facets(facets)
         for note in jump_in_words(spaces, name, part, facets[mask], so)
     ]
-    pairs = zip(spaces.joints, overviews(spaces.joints, spaces.mesh.comm), strict=True)
+    pairs = zip(spaces.pairs, overviews(spaces.pairs, spaces.mesh.comm), strict=True)
     advice = [
-        sentence for joint, about in pairs for sentence in about.advice() or _stiff_slave(spaces, data, joint, about)
+        sentence for pair, about in pairs for sentence in about.advice() or _stiff_slave(spaces, data, pair, about)
     ]
     return [*dict.fromkeys(notes), *advice]
 
 
-def _stiff_slave(spaces: ElasticSpaces, data: ElasticData, joint: Joint, about: Overview) -> list[str]:
+def _stiff_slave(spaces: ElasticSpaces, data: ElasticData, pair: MeshPair, about: Overview) -> list[str]:
     """The note that a slave is stiffer than its master and not coarser, if it is so (collective).
 
     u of the master is linear on its facets, and what the true u bends more is passed on to the slave as a gap.
     """
     sums = np.zeros((2, 2))
-    for row, facets in zip(sums, (joint.slaves, joint.masters), strict=True):
+    for row, facets in zip(sums, (pair.slaves, pair.masters), strict=True):
         cells = spaces.boundary_facets(facets).cells
         row[:] = data.material.young[0].values(data.points(spaces, cells)).mean(axis=1).sum(), len(cells)
     (of_slave, slaves), (of_master, masters) = spaces.mesh.comm.allreduce(sums)
     (slave, master), stiffer = about.sizes, of_slave / slaves > STIFFER * of_master / masters
-    if joint.pair.tied or not stiffer or slave > COARSER * master:
+    if pair.parts.tied or not stiffer or slave > COARSER * master:
         return []
     return [
         f"pair {about.words}: the slave is stiffer than the master, and its facets are not coarser, {slave:.3g} and "
@@ -66,7 +66,7 @@ def _stiff_slave(spaces: ElasticSpaces, data: ElasticData, joint: Joint, about: 
 
 def direction_of_gap(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
     """Along what the gap is measured, if it varies and a part in contact is curved (collective)."""
-    slaves = [part for joint in spaces.joints for part in joint.pair.slave]
+    slaves = [part for pair in spaces.pairs for part in pair.parts.slave]
     curved = [name for name in curved_parts(spaces) if name in spaces.part_names and name not in slaves]
     if not curved or all(part.number is not None for _, part in data.gap.by_facets(spaces.contact.facets)):
         return []
@@ -79,15 +79,15 @@ def direction_of_gap(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
 def far_slides(solution: ElasticSolution) -> list[str]:
     """Pairs whose surfaces slide in contact by more than a facet (collective)."""
     spaces, notes = solution.spaces, list[str]()
-    for joint in spaces.joints if solution.converged else ():
-        touching = solution.touching[spaces.rows_of(joint)]
-        sizes = np.linalg.norm(jumps(solution, joint), axis=2)[: len(touching)]
-        shares = np.where(touching, sizes / (2 * joint.slave.balls[1][: len(touching), None]), 0.0)
-        corners = joint.slave.corners[: len(touching)].reshape(-1, spaces.dim)
+    for pair in spaces.pairs if solution.converged else ():
+        touching = solution.touching[spaces.rows_of(pair)]
+        sizes = np.linalg.norm(jumps(solution, pair), axis=2)[: len(touching)]
+        shares = np.where(touching, sizes / (2 * pair.slave.balls[1][: len(touching), None]), 0.0)
+        corners = pair.slave.corners[: len(touching)].reshape(-1, spaces.dim)
         largest = largest_of(spaces.mesh.comm, shares.ravel(), corners)
         if largest.get("largest", 0.0) > 1:
             notes.append(
-                f"pair {joint.pair.words}: they slide on each other by {largest['largest']:.2g} facets of the slave at "
+                f"pair {pair.parts.words}: they slide on each other by {largest['largest']:.2g} facets of the slave at "
                 f"{place_in_words(largest['at'])}, and the law holds between points that were opposite before"
             )
     return notes

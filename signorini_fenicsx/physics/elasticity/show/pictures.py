@@ -134,10 +134,10 @@ def _facets(solution: Any) -> BodyFacets:
 def _opposite(spaces: ElasticSpaces) -> Indices:
     """The number of a vertex in the mesh that is opposite to each facet of Γ_C in a pair, −1 elsewhere (collective)."""
     numbers = np.full(len(spaces.contact.facets), -1)
-    for joint in spaces.joints:
-        rows, pieces = spaces.rows_of(joint), joint.pieces
-        masters, _ = vertex_numbers(spaces, spaces.boundary_facets(joint.masters))
-        of_pieces = joint.of_masters(spaces.mesh.comm, masters)[pieces.master, 0]
+    for pair in spaces.pairs:
+        rows, pieces = spaces.rows_of(pair), pair.pieces
+        masters, _ = vertex_numbers(spaces, spaces.boundary_facets(pair.masters))
+        of_pieces = pair.of_masters(spaces.mesh.comm, masters)[pieces.master, 0]
         numbers[rows] = of_pieces[np.searchsorted(pieces.slave, np.arange(len(rows)))]
     return numbers
 

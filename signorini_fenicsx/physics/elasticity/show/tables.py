@@ -16,7 +16,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, means_of_linear
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.discrete.site_table import Facets, SiteTable, Surfaces, along_parts
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.solving.solved import Columns
@@ -116,10 +116,10 @@ def table(solution: ElasticSolution) -> ContactTable:
     spaces = solution.spaces
     shear, slip, state = solution.on_all_contact()
     shear_vector, slip_vector = friction_vectors(solution)
-    for joint in spaces.joints:  # without friction the slip is no unknown
-        rows = spaces.rows_of(joint)
+    for pair in spaces.pairs:  # without friction the slip is no unknown
+        rows = spaces.rows_of(pair)
         smooth = ~np.isin(rows, spaces.rough_rows)
-        slides = jumps(solution, joint)[: len(rows)][smooth]
+        slides = jumps(solution, pair)[: len(rows)][smooth]
         slip_vector[rows[smooth]] = _in_space(slides)
         slip[rows[smooth]] = _along(spaces.contact.normals[rows[smooth]], slides)
     return ContactTable(
@@ -175,7 +175,7 @@ def friction_vectors(solution: ElasticSolution) -> Array:
     return np.stack([solution.spaces.site_kinds["slip"].spread(_in_space(vectors), np.nan) for vectors in rough])
 
 
-def jumps(solution: ElasticSolution, joint: Joint) -> Array:
+def jumps(solution: ElasticSolution, pair: MeshPair) -> Array:
     """The tangential part of u_h less u_h∘χ on the slaves of a pair, shape (slaves, d, d) (collective).
 
     These are values at the vertices of the linear functions with its means weighted by the hats.
@@ -187,8 +187,8 @@ def jumps(solution: ElasticSolution, joint: Joint) -> Array:
         facets = spaces.boundary_facets(numbers)
         return u[facets.cells][np.arange(spaces.dim + 1) != facets.local[:, None]].reshape(-1, spaces.dim, spaces.dim)
 
-    means = means_of_linear(on(joint.slaves)) - joint.opposite(spaces.mesh.comm, on(joint.masters))
-    normals = joint.slave.normals[:, None]
+    means = means_of_linear(on(pair.slaves)) - pair.opposite(spaces.mesh.comm, on(pair.masters))
+    normals = pair.slave.normals[:, None]
     return linear_from_means(means - normals * (means * normals).sum(axis=2, keepdims=True))
 
 
@@ -198,7 +198,7 @@ def opposite_surfaces(solution: ElasticSolution) -> Surfaces | None:
     They have the traction σ_h n, which on masters is what their slaves pass on and what is given there besides.
     """
     spaces = solution.spaces
-    sides = [name for joint in spaces.joints for name in (*joint.pair.slave, *joint.pair.master)]
+    sides = [name for pair in spaces.pairs for name in (*pair.parts.slave, *pair.parts.master)]
     names = [name for name in dict.fromkeys(sides) if name not in spaces.part_names]
     if not names:
         return None
@@ -276,8 +276,8 @@ def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
     }
     if solution.data.laws.of_parts:
         columns["segment"] = np.array(segment_names(solution))[table.segment]
-    friction, joints = bool(solution.data.friction), solution.spaces.joints
-    shown = {"shear": friction, "slip": friction or any(not joint.pair.tied for joint in joints)}
+    friction, pairs = bool(solution.data.friction), solution.spaces.pairs
+    shown = {"shear": friction, "slip": friction or any(not pair.parts.tied for pair in pairs)}
     numbers = {"shear": table.shear, "slip": table.slip}
     vectors = _vectors({"shear": table.shear_vector, "slip": table.slip_vector}, solution.spaces.dim)
     if friction:

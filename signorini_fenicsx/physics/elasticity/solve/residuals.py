@@ -10,7 +10,7 @@ from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals, squares_off
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, facet_normals, linear_values
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, hats_in_subcells, to_entries
 from signorini_fenicsx.physics.elasticity.discrete.material import mean_compliances
@@ -142,8 +142,8 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     held = data.supports.facets.blocks
     left[held] = data.supports.let_go(left[held])
     left[spaces.across.blocks] += left[spaces.contact.blocks[spaces.inner.rows]]
-    for joint in spaces.joints:
-        _pass_on(spaces, joint, left)
+    for pair in spaces.pairs:
+        _pass_on(spaces, pair, left)
     left[spaces.contact.blocks] -= data.pulled
     for facets, _, axes, _ in spaces.fixed:
         _drop(left, facets, axes)
@@ -156,16 +156,16 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     return float(weighted[: index_map.size_local].sum())
 
 
-def _pass_on(spaces: ElasticSpaces, joint: Joint, left: Array) -> None:
+def _pass_on(spaces: ElasticSpaces, pair: MeshPair, left: Array) -> None:
     """Add the tractions on a slave, where a law holds along them, to those on its master (collective)."""
-    slaves, masters = spaces.boundary_facets(joint.slaves), spaces.boundary_facets(joint.masters)
+    slaves, masters = spaces.boundary_facets(pair.slaves), spaces.boundary_facets(pair.masters)
     passed = left[slaves.blocks]
     smooth = ~np.isin(slaves.facets, np.append(spaces.rough.facets, spaces.tied))
     along = np.einsum("nai,ni->na", passed, slaves.normals)[:, :, None] * slaves.normals[:, None]
     passed[smooth] = along[smooth]
-    moments = joint.onto_masters(spaces.mesh.comm, passed)
+    moments = pair.onto_masters(spaces.mesh.comm, passed)
     left[masters.blocks] += linear_values(moments, masters.measure)
-    if joint.pair.tied:
+    if pair.parts.tied:
         left[slaves.blocks] = 0.0
 
 

@@ -11,7 +11,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, means_of_linear
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -248,30 +248,30 @@ class RigidBodies:
 
     def _tied_together(self, free: Array) -> Array:
         """The combinations of free motions under which no two surfaces that are tied move apart (collective)."""
-        tied = [joint for joint in self.spaces.joints if joint.pair.tied]
+        tied = [pair for pair in self.spaces.pairs if pair.parts.tied]
         if not tied or free.shape[1] == 0:
             return free
         gram, total = np.zeros((free.shape[1], free.shape[1])), 0.0
-        for joint in tied:
-            jumps = self._jumps(joint).reshape(len(joint.slaves), self.spaces.dim**2, len(free)) @ free
-            gram += np.einsum("njr,njs,n->rs", jumps, jumps, joint.slave.measure)
-            total += float(joint.slave.measure.sum())
+        for pair in tied:
+            jumps = self._jumps(pair).reshape(len(pair.slaves), self.spaces.dim**2, len(free)) @ free
+            gram += np.einsum("njr,njs,n->rs", jumps, jumps, pair.slave.measure)
+            total += float(pair.slave.measure.sum())
         gram, total = self.spaces.mesh.comm.allreduce(gram), self.spaces.mesh.comm.allreduce(total)
         sizes, vectors = np.linalg.eigh(gram)
         return np.asarray(free @ vectors[:, sizes <= FREE**2 * total])
 
-    def _jumps(self, joint: Joint) -> Array:
+    def _jumps(self, pair: MeshPair) -> Array:
         """The means of the motions on the slaves of a pair less those opposite, shape (slaves, d, d, bodies, motions).
 
         Collective.
         """
-        spaces, pieces = self.spaces, joint.pieces
-        slave_of = self.of_cell[spaces.boundary_facets(joint.slaves).cells]
-        master_of = joint.of_masters(spaces.mesh.comm, self.of_cell[spaces.boundary_facets(joint.masters).cells])
-        moved = self._moved(joint.slave.corners)
+        spaces, pieces = self.spaces, pair.pieces
+        slave_of = self.of_cell[spaces.boundary_facets(pair.slaves).cells]
+        master_of = pair.of_masters(spaces.mesh.comm, self.of_cell[spaces.boundary_facets(pair.masters).cells])
+        moved = self._moved(pair.slave.corners)
         jumps = np.zeros((*moved.shape[:3], self.number, moved.shape[3]))
         jumps[np.arange(len(moved)), :, :, slave_of] = means_of_linear(moved)
-        opposite = np.einsum("nab,nbir->nair", pieces.weights, self._moved(joint.master.corners[pieces.master]))
+        opposite = np.einsum("nab,nbir->nair", pieces.weights, self._moved(pair.master.corners[pieces.master]))
         np.subtract.at(np.moveaxis(jumps, 3, 1), (pieces.slave, master_of[pieces.master]), opposite)
         return jumps
 
@@ -290,9 +290,9 @@ class RigidBodies:
         facets = np.arange(len(along))
         of_each[facets, :, self.of_cell[spaces.contact.cells]] = along
         of_each[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
-        for joint in spaces.joints:
-            if not joint.pair.tied:
-                slaves, jumps = spaces.rows_of(joint), linear_from_means(self._jumps(joint))
+        for pair in spaces.pairs:
+            if not pair.parts.tied:
+                slaves, jumps = spaces.rows_of(pair), linear_from_means(self._jumps(pair))
                 of_each[slaves] = np.einsum("nai,naibr->nabr", directions[slaves], jumps)
         of_bodies = of_each.reshape(*along.shape[:2], self.number * along.shape[2])
         return np.concatenate([of_bodies, -moves_along(spaces, self.tools, directions)], axis=2)
