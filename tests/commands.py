@@ -4,8 +4,10 @@ import contextlib
 import csv
 import io
 import os
+import resource
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
@@ -66,6 +68,17 @@ def run(folder: Path, *command: str, ranks: int, timeout: float = 120) -> Ended:
         timeout=timeout,
         check=False,
     )
+
+
+@contextlib.contextmanager
+def limited_files(most: int) -> Iterator[None]:
+    """Let no file of this process grow beyond so many bytes for a while, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

@@ -24,7 +24,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 
 COMM = MPI.COMM_WORLD
-SQUARE = {"geometry.mesh": "structured", "solve.h": 1.001 * math.sqrt(2) / 16}
+SQUARE = {"geometry.mesh": "structured", "solve.h": 1.001 * math.sqrt(2) / 8}
 
 
 def lagrange(domain: Domain, degree: int = 1, shape: tuple[int, ...] = ()) -> fem.Function:
@@ -146,7 +146,7 @@ def certified(folder: Path, *options: str) -> dict[str, float]:
 
 def test_finer_flux(folder: Path):
     """A flux on a finer mesh encloses the known error of the field of a file better."""
-    coarse, fine = (certified(folder, "--refine", level) for level in "01")
+    coarse, fine = (certified(folder, "--h", "1/8", "--refine", level) for level in "01")
     assert coarse["guaranteed"]
     assert fine["guaranteed"]
     assert coarse["lower"] < fine["lower"] < 0.0613650 < fine["bound"] < coarse["bound"]

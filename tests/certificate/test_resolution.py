@@ -93,12 +93,6 @@ def test_where_data_are_not_bounded_is_said(name: str, value: str, place: list[f
     assert f"{name} is not resolved near (" in bound(certificate)
 
 
-def test_what_quadrature_missed_enters_the_bound():
-    coarse, certificate = certified(0.2, f=DISC)
-    fine = solve_case(problem(2**-7, f=DISC), COMM)
-    assert difference(coarse, fine) < certificate.sigma_bound < np.inf
-
-
 @pytest.mark.parametrize(
     "data",
     [
@@ -137,7 +131,7 @@ def test_without_dirichlet_the_means_of_loads_are_by_quadrature():
 
 
 def test_unresolved_places_are_refined_first():
-    solution, certificate = adapt_case(problem(0.3, f=DISC), COMM, max_cells=600)
+    solution, certificate = adapt_case(problem(0.3, f=DISC), COMM, max_cells=200)
     diameters = solution.spaces.mesh.h(2, np.arange(len(certificate.coarse), dtype=np.int32))
     middles = solution.spaces.mesh.geometry.x[solution.spaces.mesh.geometry.dofmaps[0]].mean(axis=1)
     near = np.linalg.norm(middles[:, :2] - [0.515, 0.54], axis=1) < 0.05

@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import adios2
 import h5py  # noqa: F401 - meshio reads XDMF heavy data with it
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import pyvista
 from commands import launched, read_rows, run, signorini
+from made_cases import petsc_options
 from mpi4py import MPI
 
 from signorini_fenicsx import load_solution
@@ -19,56 +21,44 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import refuse_lone_copies
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
-    """Folders of one run on one and one on two ranks."""
-    folders, command = {}, ("solve", "example2", "--h", "1/8")
-    for ranks in (1, 2):
-        folder = tmp_path_factory.mktemp(f"ranks{ranks}")
-        done = launched(folder, *command, ranks=2) if ranks == 2 else signorini(folder, *command)
-        assert done.returncode == 0, done.stderr
-        assert "the facet sets repeat" in done.stdout
-        assert done.stderr == ""
-        folders[ranks] = folder / "results" / "example2"
-    return folders
+@pytest.mark.parallel(2)
+def test_all_files(folder: Path):
+    """What is in the files of a run on two ranks agrees; they are read on one of them."""
+    done = signorini(folder, "solve", "example2", "--h", "1/8")
+    assert done.returncode == 0, done.stderr
+    assert "the facet sets repeat" in done.stdout
+    assert done.stderr == ""
+    if MPI.COMM_WORLD.rank == 0:
+        found = folder / "results" / "example2"
+        summary = check_summary(found)
+        check_tables(found, summary)
+        check_fields_for_paraview(found, summary)
+    MPI.COMM_WORLD.Barrier()
 
 
-def test_summary(runs: dict[int, Path]):
-    one, two = (json.loads((runs[ranks] / "summary.json").read_text()) for ranks in (1, 2))
-    assert one["converged"] is True
-    assert (one["ranks"], two["ranks"]) == (1, 2)
-    assert two["command"].endswith("signorini solve example2 --h 1/8")
-    assert one["norms"] == pytest.approx(two["norms"], rel=1e-10)
-    for key in ("case", "algorithm", "backend", "cells", "dofs", "contact_facets", "iterations"):
-        assert one[key] == two[key]
-    assert set(one["kkt"]) == {"primal", "dual", "complementarity", "stationarity", "mass_balance"}
-    bounds, others = (
-        {key: value for key, value in of["certificate"].items() if isinstance(value, float)} for of in (one, two)
-    )
-    assert bounds == pytest.approx(others, rel=1e-10, abs=1e-11)
-    assert one["certificate"]["guaranteed"] is two["certificate"]["guaranteed"] is True
-    assert one["certificate"]["relative"] < 0.25
-    assert {"timings", "versions", "reason", "contact_measure", "h"} <= set(one)
+def check_summary(found: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((found / "summary.json").read_text())
+    assert (summary["converged"], summary["ranks"]) == (True, 2)
+    assert summary["command"].endswith("signorini solve example2 --h 1/8")
+    assert set(summary["kkt"]) == {"primal", "dual", "complementarity", "stationarity", "mass_balance"}
+    assert summary["certificate"]["guaranteed"] is True
+    assert summary["certificate"]["relative"] < 0.25
+    assert {"case", "algorithm", "backend", "cells", "dofs", "contact_facets", "iterations"} <= set(summary)
+    assert {"timings", "versions", "reason", "contact_measure", "h"} <= set(summary)
+    return summary
 
 
-def test_tables(runs: dict[int, Path]):
-    one, two = (read_rows(runs[ranks] / "facets.csv") for ranks in (1, 2))
-    assert list(one[0]) == ["part", "x", "y", "z", "measure", "p", "flux", "condition"]
-    assert [row["part"] for row in one] == sorted((row["part"] for row in one), key=["bottom", "left"].index)
-    bottom = [float(row["x"]) for row in one if row["part"] == "bottom"]
+def check_tables(found: Path, summary: dict[str, Any]) -> None:
+    rows = read_rows(found / "facets.csv")
+    assert list(rows[0]) == ["part", "x", "y", "z", "measure", "p", "flux", "condition"]
+    assert [row["part"] for row in rows] == sorted((row["part"] for row in rows), key=["bottom", "left"].index)
+    bottom = [float(row["x"]) for row in rows if row["part"] == "bottom"]
     assert bottom == sorted(bottom)
-    assert math.fsum(float(row["measure"]) for row in one) == pytest.approx(4)
-    for a, b in zip(one, two, strict=True):
-        assert a["condition"] == b["condition"]
-        assert [float(a[key]) for key in ("x", "y", "p", "flux")] == pytest.approx(
-            [float(b[key]) for key in ("x", "y", "p", "flux")], abs=1e-11
-        )
-    summary = json.loads((runs[1] / "summary.json").read_text())
-    contact = [row for row in one if row["condition"] == "zero_trace"]
-    assert len(contact) == summary["contact_facets"]
-    history = read_rows(runs[1] / "history.csv")
+    assert math.fsum(float(row["measure"]) for row in rows) == pytest.approx(4)
+    assert sum(row["condition"] == "zero_trace" for row in rows) == summary["contact_facets"]
+    history = read_rows(found / "history.csv")
     assert len(history) == summary["iterations"]
-    assert all(int(row["no_flux"]) + int(row["zero_trace"]) == len(one) for row in history)
+    assert all(int(row["no_flux"]) + int(row["zero_trace"]) == len(rows) for row in history)
 
 
 def blocks(path: Path, name: str) -> np.ndarray:
@@ -83,11 +73,9 @@ def _read_block(reader: adios2.FileReader, variable: adios2.Variable, block: int
     return np.asarray(reader.read(variable, block_id=block))
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
+def check_fields_for_paraview(found: Path, summary: dict[str, Any]) -> None:
     """The values in .bp and .xdmf have the norms of the summary."""
-    summary = json.loads((runs[ranks] / "summary.json").read_text())
-    mesh = meshio.read(runs[ranks] / "solution.xdmf")
+    mesh = meshio.read(found / "solution.xdmf")
     corners = mesh.points[mesh.cells_dict["triangle"]]
     edges = corners[:, 1:, :2] - corners[:, :1, :2]
     area = np.abs(np.linalg.det(edges)) / 2
@@ -98,13 +86,13 @@ def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
     assert np.sqrt(area @ u**2) == pytest.approx(summary["norms"]["u_L2"], rel=1e-10)
     np.testing.assert_allclose(mesh.cell_data["sigma_norm"][0].ravel(), np.linalg.norm(sigma, axis=1), atol=1e-12)
 
-    in_vtk = pyvista.read(runs[ranks] / "solution.xdmf")
+    in_vtk = pyvista.read(found / "solution.xdmf")
     np.testing.assert_allclose(in_vtk.points[:, :2], mesh.points[:, :2], atol=1e-6)  # VTK reads single precision
     for name in ("u", "sigma", "sigma_norm", "indicator"):
         np.testing.assert_allclose(in_vtk.cell_data[name].ravel(), mesh.cell_data[name][0].ravel(), 1e-6, 1e-12)
 
     # DG1 has three nodes per cell; ∫|σ|² of a linear field is |T|/12 (Σ|σ_i|² + |Σσ_i|²).
-    points, vtx_u, vtx_sigma = (blocks(runs[ranks] / "solution.bp", name) for name in ("geometry", "u", "sigma"))
+    points, vtx_u, vtx_sigma = (blocks(found / "solution.bp", name) for name in ("geometry", "u", "sigma"))
     corners = points.reshape(-1, 3, 3)
     edges = corners[:, 1:, :2] - corners[:, :1, :2]
     area = np.abs(np.linalg.det(edges)) / 2
@@ -112,14 +100,14 @@ def test_fields_for_paraview(runs: dict[int, Path], ranks: int):
     squares = (cell_sigma**2).sum(axis=(1, 2)) + (cell_sigma.sum(axis=1) ** 2).sum(axis=1)
     assert np.sqrt(area @ squares / 12) == pytest.approx(summary["norms"]["sigma_L2"], rel=1e-10)
 
-    in_vertices = load_solution(runs[ranks]).potential.x.array.reshape(-1, 6)[:, :3]
+    in_vertices = load_solution(found, MPI.COMM_SELF).potential.x.array.reshape(-1, 6)[:, :3]
     np.testing.assert_allclose(np.sort(vtx_u.ravel()), np.sort(in_vertices.ravel()), atol=1e-12)
     near = np.linalg.norm(points[:, None, :2] - mesh.points[:, :2], axis=2) < 1e-9
     np.testing.assert_allclose(mesh.point_data["u"], (near.T @ vtx_u).ravel() / near.sum(axis=0), atol=1e-12)
 
-    rows = read_rows(runs[ranks] / "facets.csv")
+    rows = read_rows(found / "facets.csv")
     for name in ("p", "flux"):
-        written = blocks(runs[ranks] / "multiplier.bp", name).ravel()
+        written = blocks(found / "multiplier.bp", name).ravel()
         np.testing.assert_allclose(np.sort(written), np.sort([float(row[name]) for row in rows]), atol=1e-12)
 
 
@@ -166,12 +154,13 @@ def test_failed_run_keeps_its_state_and_earlier_results(folder: Path):
 
 
 def test_rerun_replaces_results_and_keeps_foreign_files(tmp_path: Path):
-    results = tmp_path / "mine"
-    assert signorini(tmp_path, "solve", "example1", "--h", "1/4", "--plot", "--output", "mine").returncode == 0
+    results, again = tmp_path / "mine", ("solve", "example1", "--h", "1/2", "--output", "mine")
+    assert signorini(tmp_path, *again, "--set", 'probe=[{name="a", points=[0.5, 0.5]}]').returncode == 0
+    assert (results / "probes.csv").exists()
     (results / "notes.txt").write_text("mine")
-    assert signorini(tmp_path, "solve", "example1", "--h", "1/4", "--output", "mine").returncode == 0
+    assert signorini(tmp_path, *again).returncode == 0
     assert (results / "notes.txt").read_text() == "mine"
-    assert not (results / "u.png").exists()
+    assert not (results / "probes.csv").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine"]
 
 
@@ -212,10 +201,9 @@ def test_lists_can_be_set(tmp_path: Path):
 
 def test_state_with_nan_is_kept(tmp_path: Path):
     """After a solver has diverged its state is kept, with null for numbers that are not finite."""
-    options = ["-snes_type", "nrichardson", "-snes_max_it", "2000", "-snes_linesearch_type", "basic"]
-    done = launched(tmp_path, "solve", "example4", "--h", "1/8", "--algorithm", "snes1", "--", *options)
+    with petsc_options(snes_type="nrichardson", snes_max_it="2000", snes_linesearch_type="basic"):
+        done = signorini(tmp_path, "solve", "example4", "--h", "1/8", "--algorithm", "snes1")
     assert done.returncode == 1
-    assert "Traceback" not in done.stderr
     failed = json.loads((tmp_path / "results" / "example4.failed" / "summary.json").read_text())
     assert failed["converged"] is False
 
@@ -233,8 +221,8 @@ def test_petsc_options_reach_petsc(tmp_path: Path):
     done = launched(tmp_path, "solve", "example1", "--h", "1/4", "--", "-ksp_view", "-mat_mumps_icntl_14", "50")
     assert done.returncode == 0
     assert "KSP Object" in done.stdout
-    failing = ["-ksp_type", "gmres", "-pc_type", "none", "-ksp_max_it", "2"]
-    done = launched(tmp_path, "solve", "example1", "--h", "1/8", "--output", "b", "--", *failing)
+    with petsc_options(ksp_type="gmres", pc_type="none", ksp_max_it="2"):
+        done = signorini(tmp_path, "solve", "example1", "--h", "1/8", "--output", "b")
     assert done.returncode == 1
     assert "linear solver gmres+none stopped" in done.stderr
 

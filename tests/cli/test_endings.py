@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import ended, run, signorini
+from commands import ended, limited_files, run, signorini
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -19,6 +19,7 @@ from signorini_fenicsx.base.signals import Interruption, listening
 from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.gmres import gmres
+from signorini_fenicsx.output import field_files
 from signorini_fenicsx.physics.diffusion import solving
 
 SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
@@ -202,26 +203,20 @@ def test_a_disk_that_others_fill(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("limit", "checked"), [(150000, True), (150000, False), (1000, True)])
-def test_a_full_disk_keeps_the_solution(tmp_path: Path, limit: int, checked: bool):
+def test_a_full_disk_keeps_the_solution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int, checked: bool):
     """With a limit on file sizes: reported before ADIOS2 begins, and also if ADIOS2 itself fails; 1 without room."""
-    script = tmp_path / "limited.py"
-    script.write_text(
-        "import resource\n"
-        "from signorini_fenicsx.cli import main as cli\n"
-        "from signorini_fenicsx.output import field_files as output\n"
-        + ("" if checked else "output.check_room = lambda *arguments: None\n")
-        + f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
-        "cli.main()\n"
-    )
-    done = run(tmp_path, sys.executable, str(script), *SOLVE, "-q", ranks=1)
+    if not checked:
+        monkeypatch.setattr(field_files, "check_room", lambda *arguments: None)
+    with limited_files(limit):
+        done = signorini(tmp_path, *SOLVE, "-q")
     assert done.returncode == (1 if limit == 1000 else 3), done.stderr
     assert ("File too large" in done.stderr) or not checked
     assert checked is False or done.stderr.count("\n") == 1
     if limit == 1000:
-        assert sorted(path.name for path in tmp_path.iterdir()) == ["limited.py"]
+        assert not list(tmp_path.iterdir())
         return
     assert done.stderr.count("; the solution is in") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["limited.py", "x"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x"]
     assert {"checkpoint", "facets.csv", "summary.json"} < {path.name for path in (tmp_path / "x").iterdir()}
     assert not list((tmp_path / "x").glob("solution*"))
     done = signorini(tmp_path, "export", "x")

@@ -10,25 +10,26 @@ from commands import read_rows
 
 def test_reproduce_and_draw_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """Items that share runs; then the pictures again, without new runs."""
-    names = ["table5", "figure8", "figure9"]
+    names = ["table1", "figure2", "figure3"]
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(reproduce, "QUICK_REFERENCE", 5)
+    monkeypatch.setattr(reproduce, "QUICK_LEVELS", [2, 3])
+    monkeypatch.setattr(reproduce, "QUICK_REFERENCE", 4)
     monkeypatch.setattr(sys, "argv", ["reproduce.py", "--quick", *names])
     assert reproduce.main() == 0
     folder = tmp_path / "results" / "reproduction-quick"
-    assert len(list((folder / "runs").iterdir())) == 2  # figures 8 and 9 are of one run
+    assert len(list((folder / "runs").iterdir())) == 2  # figures 2 and 3 are of one run
     page = (folder / "index.html").read_text(encoding="utf-8")
-    assert "reproduce.py --quick figure8" in page
+    assert "reproduce.py --quick figure2" in page
     for name in names[1:]:
         assert f'<img src="{name}.png"' in page
         assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
         assert (folder / f"{name}.png").stat().st_size > 10_000
         (folder / f"{name}.png").unlink()
-    rows = read_rows(folder / "table5.csv")
-    assert [row["h"] for row in rows] == ["2^-2", "2^-3", "2^-4"]
-    names_of_columns = (folder / "table5.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    rows = read_rows(folder / "table1.csv")
+    assert [row["h"] for row in rows] == ["2^-2", "2^-3"]
+    names_of_columns = (folder / "table1.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert len(set(names_of_columns)) == len(names_of_columns) == 9
-    assert "<td>0.311</td>" in page  # the slides' error beside ours
+    assert "<td>1.65</td>" in page  # the slides' error beside ours
     monkeypatch.setattr(sys, "argv", ["reproduce.py", "--quick", *names[1:]])
     assert reproduce.main() == 0
     assert all((folder / f"{name}.png").exists() for name in names[1:])

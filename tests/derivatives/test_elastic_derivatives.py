@@ -96,13 +96,11 @@ def on_laws(comm: MPI.Comm, law: str) -> Controlled:
     joint = TwoSided("bottom", psi_upper=0.5 * a + 0.3 * level, psi=-b - level, q_S=0.5 * a)
     regulator = Regulator("bottom", k=c, g_low=-a, g_high=4 * a * (1 + x[0]), a=0.1 * a + level)
     layer = Corners("bottom", [(0, 5 * a), (b, a + level), (1.5 * b, 0)], before="vertical", beyond=c * a)
-    steps = Corners("bottom", [(-b, 4 * a), (-b, a), (-0.5 * b, level)])
     own, given = {
         "wall": (wall, [a, c]),
         "joint": (joint, [a, b]),
         "regulator": (regulator, [a, c]),
         "layer": (layer, [a, b, c]),
-        "steps": (steps, [a, b]),
     }[law]
     conditions = [
         own,
@@ -154,13 +152,11 @@ def functional(given: Controlled, solution: Any) -> Any:
 
 
 PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
-    "none": lambda comm: block(comm, ""),
     "tresca": lambda comm: block(comm, "tresca"),
     "coulomb": lambda comm: block(comm, "coulomb"),
     "material": material,
-    **{law: partial(on_laws, law=law) for law in ("wall", "joint", "regulator", "layer", "steps")},
+    **{law: partial(on_laws, law=law) for law in ("wall", "joint", "regulator", "layer")},
     "wall in space": lambda comm: in_space(comm, ""),
-    "tresca in space": lambda comm: in_space(comm, "tresca"),
     "coulomb in space": lambda comm: in_space(comm, "coulomb"),
     **{f"pair, {law}": partial(of_pair, law=law) for law in ("coulomb", "tied")},
     "pair in space": partial(of_pair, law="tresca", dim=3),

@@ -72,7 +72,7 @@ def test_energies_of_two_bodies():
     assert between[-1] < 0.5 * between[-2]
 
 
-@pytest.mark.parametrize("law", [LAWS[0], LAWS[3]], ids=str)
+@pytest.mark.parametrize("law", [LAWS[0], pytest.param(LAWS[3], marks=pytest.mark.slow)], ids=str)
 def test_oblique_friction_in_space(law: Tresca | Coulomb):
     """Forces on the plane, and the energy of Tresca's problem, agree with those of P2 better and better."""
     between, off = [], []

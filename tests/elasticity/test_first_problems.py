@@ -1,8 +1,9 @@
-"""First problems of engineers: at rest, held by friction alone, slow sets, flat cells."""
+"""First problems of engineers: at rest, held by friction alone, slow sets, flat cells; and random ones."""
 
 import dolfinx.mesh
 import numpy as np
 import pytest
+from makers.bodies import examine
 from makers.first import first_problem
 from mpi4py import MPI
 
@@ -127,3 +128,11 @@ def test_random_first_problem(seed: int):
     """A few seeds of `scripts/random_runs.py first`, by default options: solved, or it is said why not."""
     (found,) = first_problem(seed)
     assert not found.wrong, found
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, *range(2, 150)))])
+def test_random_problem(seed: int):
+    """A few seeds of `scripts/random_runs.py elasticity`, which mixes all that elastic problems take."""
+    row = examine("elasticity", seed, cells={2: 500, 3: 500})
+    assert not row.wrong, row
+    assert not row.ratio > 3, row

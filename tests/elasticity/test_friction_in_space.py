@@ -134,14 +134,13 @@ def test_few_linear_iterations(monkeypatch: pytest.MonkeyPatch):
     assert by_cg.bound_changes[-1] <= 1e-9
 
 
-@pytest.mark.parametrize("law", [Friction(["z0"], g=0.01), CoulombLaw(["z0"], 0.3)], ids=["tresca", "coulomb"])
-def test_few_steps(law: Law):
+def test_few_steps():
     """A bar that slips at its edges, from the sets of a coarser mesh: ten steps or less, by factors and by CG.
 
     One method inside the other, for contact, slip and the bound, took 34 steps under Coulomb's law.
     """
     given = {"f": ["0", "0", "-0.3"], "g_N": {"z1": ["0.03", "0", "-0.1"]}, "u_D": {"x0": ["0"] * 3}}
-    problem = ElasticProblem(1.0, 0.3, **given, gap=0.02, laws=[law])
+    problem = ElasticProblem(1.0, 0.3, **given, gap=0.02, laws=[CoulombLaw(["z0"], 0.3)])
     boundary = ElasticBoundary([], ["x1", "y0", "y1", "z1"])
 
     def bar(factor: float) -> Domain:
@@ -286,6 +285,7 @@ def test_a_tool_that_nothing_holds_is_told():
         solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))
 
 
+@cache
 def turned_cube() -> ElasticSolution:
     """A cube that is turned on its foundation; beside it there is a wall without friction, which it does not touch."""
     top = Dirichlet("z1", ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"])
@@ -320,6 +320,7 @@ def test_pictures_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Pressure, shear and slip at three times, each on the facets of its step, on one scale."""
     drawn = []
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append((path.name, sheet)))
+    monkeypatch.setattr(space, "PIXELS", 300)
     body = gathered_scene(turned_cube())
     assert body is not None
     whole = body.sites
@@ -346,8 +347,9 @@ def test_pictures_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parallel([1])
-def test_picture_of_shear_and_slip():
+def test_picture_of_shear_and_slip(monkeypatch: pytest.MonkeyPatch):
     """Shear and slip have panels with arrows, though there is another part without friction."""
+    monkeypatch.setattr(space, "PIXELS", 300)
     body = gathered_scene(turned_cube())
     assert body is not None
     views_of = Space(body)

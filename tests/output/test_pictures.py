@@ -30,7 +30,7 @@ from signorini_fenicsx.physics.diffusion.show.pictures import SETS
 from signorini_fenicsx.physics.diffusion.show.pools import Pools, u_at_points
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.show.pictures import _near, foundation_of
-from signorini_fenicsx.pictures import sample, style, traces
+from signorini_fenicsx.pictures import sample, space, style, traces
 from signorini_fenicsx.pictures.curves import draw_steps, moves
 from signorini_fenicsx.pictures.cuts import SLANTED, Cut, outward
 from signorini_fenicsx.pictures.drawing import draw_all, overview
@@ -50,8 +50,8 @@ COMM = MPI.COMM_WORLD
 PICTURES = ("overview", "u", "sigma", "signorini", "iterations", "certificate")
 PROGRAM = """
 import os, sys
-from signorini_fenicsx.cli import main as cli
-before = dict(os.environ)
+from signorini_fenicsx.cli import start as cli
+before = {name: value for name, value in os.environ.items() if name != "MPLBACKEND"}
 try:
     cli.main()
 except SystemExit as end:
@@ -97,15 +97,23 @@ def assert_drawn(results: Path):
     assert 'name="viewport"' in page  # phones
 
 
-def test_plane(tmp_path: Path):
-    """In the plane VTK is not imported; the settings of the process do not change."""
-    results, said = draw(tmp_path, "example1", "--h", "1/8")
+def test_plane(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """In the plane VTK is not imported; the settings of the process do not change.
+
+    Nor is anything missing without HOME, which ADIOS2 reads, and with any backend of Matplotlib.
+    """
+    monkeypatch.setenv("XDG_CACHE_HOME", os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")))
+    monkeypatch.delenv("HOME")
+    monkeypatch.setenv("MPLBACKEND", "foo")
+    results, said = draw(tmp_path, "example1", "--h", "1/4")
     assert said == ["0", "False", "True", "True"]
     assert_drawn(results)
+    assert (results / "solution.bp").is_dir()
 
 
-def test_space(tmp_path: Path):
+def test_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Of a penalty, whose steps differ; the settings of the process do not change."""
+    monkeypatch.setattr(space, "PIXELS", 300)
     before, size = dict(os.environ), rcParams["font.size"]
     options = ("--plot", "--html", "--quiet", "--output", "drawn")
     done = signorini(tmp_path, "solve", "cube", "--h", "0.5", "--algorithm", "alg3", *options)
@@ -143,6 +151,7 @@ def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """Three views of the sets, each of its own step, over their measures."""
     drawn = []
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
+    monkeypatch.setattr(space, "PIXELS", 300)
     cube = scene("cube", h=0.5)
     tables = [replace(cube.sites, condition=np.roll(cube.sites.condition, 20 * step)) for step in range(5)]
     draw_over_time(tmp_path / "contact.png", cube, DrawnSteps([1.0, 2.0, 3.0, 4.0, 5.0], tables, [{}], {}), [SETS])

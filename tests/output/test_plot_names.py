@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import signorini
 from matplotlib.text import Text
 from mpi4py import MPI
 
@@ -15,6 +14,7 @@ from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.solving import evolve_case, quantities_of, solve_case
 from signorini_fenicsx.cases.units import read_off, summary_of, units_of, with_units
 from signorini_fenicsx.cli.solution_report import interval
+from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.show.pictures import columns_of_cells, segments
 from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, Pools, water_lines, wet
@@ -192,12 +192,9 @@ def test_steep_values_are_drawn_on_small_triangles():
 
 
 def test_names_are_kept_with_a_solution(tmp_path: Path):
-    (tmp_path / "mine.toml").write_text(
-        '[geometry]\nshape = "square"\n[boundary]\nsignorini = ["bottom"]\n[problem]\nf = "-1"\n[plot]\nu = "head"\n'
-    )
-    assert signorini(tmp_path, "solve", "mine.toml", "--h", "0.5", "--plot").returncode == 0
-    assert signorini(tmp_path, "export", "results/mine", "--plot").returncode == 0
     case = load_case("example1")
+    solve_case(case.with_values({"solve.h": 0.5, "plot.u": "head"}), MPI.COMM_SELF).write(tmp_path / "out")
+    assert load_solution(tmp_path / "out", MPI.COMM_SELF).source.plot.u == "head"
     assert "plot" not in case.model_dump()
     assert "plot.u" not in make_run(case).parameters
 

@@ -58,15 +58,16 @@ def test_of_jumps():
 
 
 def test_on_curved_foundations():
-    """A ring between two curved foundations: one has a force, both together that of the weight."""
+    """A ring between two curved foundations, which share its weight: the force on one of them, and where it is."""
     touching = [Contact("outer", gap="0.02*(1 + y)"), Contact("inner", gap="0.02*(1 - y)", friction=Tresca(0.1))]
     ring = solve(
         build_domain(COMM, "annulus", 0.6, mesh="unstructured"), Elasticity(1.0, 0.3, f=[0, -0.1], conditions=touching)
     )
     weight = 0.1 * COMM.allreduce(float(ring.spaces.cell_measures.sum()))
-    outer, both = (ring.quantity(Force(parts, [0, 1])) for parts in ("outer", ["outer", "inner"]))
-    assert all(each.guaranteed for each in (outer, both))
-    assert around(both, weight, 1e-8)
+    outer, found = ring.quantity(Force("outer", [0, 1])), ring.resultants()
+    assert found["outer"][1] + found["inner"][1] == pytest.approx(weight)
+    assert outer.guaranteed
+    assert outer.lower < found["outer"][1] < outer.upper
     assert 0 < outer.width < 0.2 * weight
     height = ring.quantity(Mean(parts="outer", direction=[0, 1]))
     assert height.guaranteed
@@ -94,8 +95,9 @@ def test_under_tools():
     assert far.lower <= -a <= far.upper
 
 
-def test_on_loaded_and_guided_parts():
+def test_on_loaded_and_guided_parts(monkeypatch: pytest.MonkeyPatch):
     """Parts with a pressure, and those that are fixed in the normal direction, have means, too."""
+    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 8)  # more find nothing but rounding
     conditions = [
         Pressure("top", 0.1),
         Contact("bottom"),

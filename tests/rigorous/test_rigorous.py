@@ -221,11 +221,13 @@ def test_load_between_the_points():
     """A disc between all quadrature points: ‖σ‖ ≥ (f, φ)/‖∇φ‖ with φ = min(ln R/r, ln R/a)⁺, a and R radii."""
     case = on_square(5, ["bottom"], problem__f="1e4 if (x - 0.515)^2 + (y - 0.54)^2 < 2.5e-5 else 0")
     solution = solve_case(case, MPI.COMM_SELF)
-    proof = proof_of(solution, certify(solution).v)
+    certificate = certify(solution)
+    proof = proof_of(solution, certificate.v)
     assert proof.proven is not None
     far = math.log(0.46 / 0.005)
     assert solution.norms()["sigma_L2"] < 1e-12
     least = 1e4 * math.pi * 2.5e-5 * far / math.sqrt(2 * math.pi * far)
+    assert least <= certificate.sigma_bound < math.inf
     assert least <= proof.proven.sigma_bound <= 20 * least
 
 

@@ -46,18 +46,18 @@ def test_each_row_is_what_its_command_asks_for(row: dict[str, str]):
 def test_a_row_again():
     """A row of the atlas on a coarse mesh: its interval contains the recorded one's middle."""
     (row,) = [row for row in ROWS if row["quantity"] == "to the stream"]
-    again = rerun(row, "--width", "0.06")
+    again = rerun(row, "--h", "2", "--width", "0.2")
     assert again["guaranteed"] == row["guaranteed"] == "yes"
     assert float(again["lower"]) < (float(row["lower"]) + float(row["upper"])) / 2 < float(again["upper"])
     assert int(again["unknowns"]) < int(row["unknowns"])
 
 
 SOLVED = [
-    ("muskat", "0.6"),
+    pytest.param("muskat", "0.6", marks=pytest.mark.slow),
     ("hillslope", "2"),
     ("membrane_steady", "1/4"),
     ("plate_tresca", "0.02"),
-    ("bar", "0.5"),
+    ("bar", "1"),
 ]
 
 
