@@ -117,7 +117,6 @@ def in_space(comm: MPI.Comm) -> Controlled:
 
 PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
     "all data": one_law,
-    "alg3": lambda comm: one_law(comm, options=Options(algorithm="alg3", eps=0.02)),
     "alg4": lambda comm: one_law(comm, options=Options(algorithm="alg4", eps=0.3)),
     "mixed": lambda comm: one_law(comm, options=Options(backend="mixed")),
     "laws": many_laws,

@@ -34,8 +34,8 @@ f = -1
 psi = -0.25
 
 [time]
-end = 0.4
-steps = 4
+end = 0.3
+steps = 3
 
 [solve]
 h = 1
@@ -107,13 +107,13 @@ def test_each_step(falling: Path):
             assert lower - 1e-9 <= value <= upper + 1e-9
             assert upper - lower < 1e-6
     assert ends(rows[0], "held") == pytest.approx((0.0, 0.0), abs=1e-8)
-    lower, upper = ends(rows[3], "held")
+    lower, upper = ends(rows[2], "held")
     assert 0 < lower < upper < 2
     found = json.loads((falling / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]
     assert list(found) == ["mean", "held", "energy"]
     assert (found["held"]["lower"], found["held"]["upper"]) == (lower, upper)
     assert found["held"]["guaranteed"] is False
-    assert found["held"]["guaranteed_for"] == rows[3]["quantities.held.guaranteed_for"] != ""
+    assert found["held"]["guaranteed_for"] == rows[2]["quantities.held.guaranteed_for"] != ""
     assert (falling / "found" / "quantities.png").exists()
     for change, words in (
         ('quantity.1.parts="nowhere"', "unknown part 'nowhere'"),
