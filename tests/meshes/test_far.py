@@ -107,7 +107,7 @@ def moved_domain(domain: Domain, x0: tuple[float, ...]) -> Domain:
 
 
 NOT_COMPARED = ("timings", "peak_memory", "resultants", "kkt", "coulomb", "title")
-CASES = {"crack": 0.3, "fault": None, "sphere": 0.5, "hertz": 0.25, "cube": 0.5}
+CASES = {"crack": 0.3, "fault": None, "sphere": 0.8, "hertz": 0.25, "cube": 0.5}
 
 
 def numbers(tree: object, name: str = "") -> Iterator[tuple[str, float]]:
