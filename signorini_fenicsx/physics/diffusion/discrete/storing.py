@@ -120,7 +120,7 @@ class Storing:
                 share[rises] /= 2
             share[rises] = 0.0
             moved, u = np.abs(share * step), u + share * step
-            value, slope = left(u)
+            value, slope = left(u) if rises.any() else found
             if (moved <= rounding).all():
                 break
         theta, rise = self.content(u)
