@@ -8,8 +8,8 @@ from dolfinx.mesh import DiagonalType
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
 
 type Corner = Sequence[float] | Array
 

@@ -90,8 +90,8 @@ from signorini_fenicsx.contact.laws import (
 )
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.diffusion.soils import BrooksCorey, Gardner, VanGenuchten

@@ -8,8 +8,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain, distribute
-from signorini_fenicsx.meshes.own import domain_of
 
 type Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, solve
 from signorini_fenicsx.forms.elasticity import strain
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 

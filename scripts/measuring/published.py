@@ -34,8 +34,8 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.comparing.comparison import differences
 from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb
 from signorini_fenicsx.physics.elasticity.problem import Elasticity

@@ -30,6 +30,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.meshes.dolfinx_meshes import check_parts
 from signorini_fenicsx.meshes.domain import (
     Domain,
     Part,
@@ -40,7 +41,6 @@ from signorini_fenicsx.meshes.domain import (
     marked,
     membership,
 )
-from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.output.checkpoint_file import (
     FOLDER,

@@ -49,7 +49,7 @@ from signorini_fenicsx.base.reference_cells import EDGES
 from signorini_fenicsx.certificate.proof import Proofs, Proven
 from signorini_fenicsx.expressions import difference, values
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing, larger, stacked
-from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
+from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, places, smallest
@@ -371,7 +371,7 @@ def _prepared(solution: Solution, v: fem.Function) -> Callable[[], Proven | None
     Raises:
         InputError: If there is no theorem for the problem.
     """
-    if isinstance(solution, LinearSolution):
+    if isinstance(solution, RT1Solution):
         raise InputError("the proof is for RT0 alone")
     if solution.data.laws.listed:
         raise InputError("the proof is for the law of Signorini alone")

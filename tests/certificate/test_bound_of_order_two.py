@@ -19,8 +19,8 @@ from signorini_fenicsx.certificate.certify import bound_field, certify
 from signorini_fenicsx.contact.laws import Neumann, Signorini
 from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet, nodes
 from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.diffusion.bound import relaxation
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.diffusion.solution import Solution

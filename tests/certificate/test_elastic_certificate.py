@@ -18,9 +18,9 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.comparison import differences
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.bound import certify as bound
 from signorini_fenicsx.physics.elasticity.bound.certify import gap_of_cells
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement

@@ -12,8 +12,8 @@ from signorini_fenicsx import Contact, Corners, Diffusion, Dirichlet, Elasticity
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.quantities import Mean
 from signorini_fenicsx.solving.solver import solve

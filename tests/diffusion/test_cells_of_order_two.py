@@ -16,7 +16,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
+from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
 
 COMM = MPI.COMM_WORLD
 RT1 = Options(element="RT1")
@@ -26,7 +26,7 @@ LAWS = [
 ]
 
 
-def of_case(name: str, h: float, comm: MPI.Comm = COMM, element: str = "RT1", **about: object) -> LinearSolution:
+def of_case(name: str, h: float, comm: MPI.Comm = COMM, element: str = "RT1", **about: object) -> RT1Solution:
     values = {"solve.h": h, "solve.element": element}
     return solve_case(load_case(name).with_values(values), comm, **about)  # type: ignore[arg-type, return-value]
 
@@ -126,7 +126,7 @@ def test_laws_are_alike():
     """A key and a law are the same, an upper bound is a lower one turned, and a line in the law is a term cu."""
     domain = build_domain(COMM, "square", 0.2, mesh="structured")
 
-    def on_square(*laws: object, **data: object) -> LinearSolution:
+    def on_square(*laws: object, **data: object) -> RT1Solution:
         return solve(domain, Diffusion(conditions=laws, **data), RT1)  # type: ignore[arg-type, return-value]
 
     short, long = on_square(f=-8, obstacle=-0.1), on_square(Obstacle(region="all", psi=-0.1), f=-8)

@@ -19,9 +19,9 @@ from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.cut import Side, opened
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.grids import Share, rectangle_grid, tetrahedron_grid
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution

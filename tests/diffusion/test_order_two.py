@@ -30,8 +30,8 @@ from signorini_fenicsx.meshes.memory import PROCESS_BYTES
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import Found, write_solution
-from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
+from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
 from signorini_fenicsx.pictures.plane import Plane
 from signorini_fenicsx.pictures.scene import gathered_scene
 from signorini_fenicsx.quantities import Energy, Mean
@@ -88,7 +88,7 @@ def test_all_laws(name: str):
     assert max(vars(after.kkt).values()) < 1e-11
 
 
-def transition(domain: Domain, options: Options = RT1, **how: object) -> LinearSolution:
+def transition(domain: Domain, options: Options = RT1, **how: object) -> RT1Solution:
     """A known solution with a transition at x = 0.413."""
     u = "max(x - 0.413, 0)^3 - y*max(0.413 - x, 0)^3"
     f = "-6*(max(x - 0.413, 0) - y*max(0.413 - x, 0))"
@@ -119,7 +119,7 @@ def test_forms_of_the_mixed_method():
     assert flux == pytest.approx(0.5, abs=1e-12)
 
 
-def same_by_both(solved: Callable[[str], LinearSolution]) -> None:
+def same_by_both(solved: Callable[[str], RT1Solution]) -> None:
     """Both backends have the same steps and the same solution."""
     hybrid, mixed = solved("hybrid"), solved("mixed")
     assert mixed.outcome.backend == "mixed RT1"
@@ -181,7 +181,7 @@ def test_far_values(tmp_path: Path):
     """A constant in u costs no digits of σ, and neither does a ψ far below u, also in a solution that is read again."""
     domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
 
-    def solved(constant: float, psi: float) -> LinearSolution:
+    def solved(constant: float, psi: float) -> RT1Solution:
         laws = [Signorini("bottom", psi=constant), Signorini("top", psi=psi + constant)]
         f = f"50*(0.5 - x)*(0.2 - y) + {constant}"
         return solve(domain, Diffusion(f=f, c=1.0, u_D=constant, conditions=laws), RT1)

@@ -10,8 +10,8 @@ from signorini_fenicsx.api import Contact, Pressure
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Wall
 from signorini_fenicsx.discrete.pairs import Pair, Tied
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.elasticity.problem import Elasticity
 from signorini_fenicsx.solving.solver import solve

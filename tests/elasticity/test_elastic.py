@@ -14,7 +14,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.chains import Condition, Penalty
 from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.contact.set_rules import SetRule
-from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options

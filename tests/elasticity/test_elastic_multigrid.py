@@ -14,7 +14,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.physics.elasticity.case import ElasticCase
 from signorini_fenicsx.physics.elasticity.conditions import Contact
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data

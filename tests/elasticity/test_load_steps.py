@@ -22,9 +22,9 @@ from signorini_fenicsx import (
 )
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.show.tables import ContactTable

@@ -10,7 +10,7 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.physics.elasticity.conditions import Contact
 from signorini_fenicsx.physics.elasticity.problem import Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.physics.elasticity.show.readings import von_mises

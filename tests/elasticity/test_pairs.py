@@ -30,8 +30,8 @@ from signorini_fenicsx.api import (
     solve,
 )
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import distribute
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 
 LAWS = [None, Tresca(0.2), Coulomb(0.3), Tied(), Wall((), beta=5.0)]

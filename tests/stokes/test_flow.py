@@ -18,9 +18,9 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners, Dirichlet, Neumann
 from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes

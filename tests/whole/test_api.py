@@ -26,8 +26,8 @@ from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import Friction, Wall
 from signorini_fenicsx.contact.set_rules import SetRule
+from signorini_fenicsx.meshes.dolfinx_meshes import domain_of
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.output.checkpoint import load_solution

@@ -43,9 +43,9 @@ from signorini_fenicsx.expressions.tree import Conditional, Relation
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.discrete.coefficients import cell_means
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import projected
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show.states import sizes
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -126,7 +126,7 @@ class DiffusionSteps:
             InputError: If they are not finite, or of no usable size.
         """
         u, columns = self._means("initial", self.initial), self.remembered.start(self._evolution.time(1), self._before)
-        if isinstance(self.spaces, LinearSpaces):
+        if isinstance(self.spaces, RT1Spaces):
             return Left(self._content(projected(self.spaces, self.initial)), columns)
         least = np.zeros_like(u)
         for part, chains in self.storage:
@@ -154,7 +154,7 @@ class DiffusionSteps:
 
     def _content(self, u: Array, theta: Array | float = 0.0) -> fem.Function:
         """The content of u, given on the owned cells, of RT1 at their vertices (collective)."""
-        if isinstance(self.spaces, LinearSpaces):
+        if isinstance(self.spaces, RT1Spaces):
             return self.spaces.scalar(projected(self.spaces, self.given, u))
         return self.spaces.scalar(self.capacity * u + theta)
 
@@ -434,7 +434,7 @@ def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
     Raises:
         InputError: If a point is not in its mesh.
     """
-    vertices = spaces.vertices if isinstance(spaces, LinearSpaces) else corners(spaces.mesh)
+    vertices = spaces.vertices if isinstance(spaces, RT1Spaces) else corners(spaces.mesh)
     dim, u = vertices.shape[2], solution.potential if spaces.degree > solution.spaces.degree else solution.u
     rule = basix.make_quadrature(SIMPLEX[dim], 1 + spaces.degree)[0]
     hats = np.column_stack([1 - rule.sum(axis=1), rule])

@@ -20,14 +20,14 @@ from signorini_fenicsx.discrete.remembered import Remembered
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import linear_data
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, linear_spaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import rt1_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, rt1_spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import WaterBefore, in_places
-from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
 from signorini_fenicsx.physics.diffusion.solve.residuals import kkt_residuals, with_cells
+from signorini_fenicsx.physics.diffusion.solve.rt1_residuals import RT1Iterate, rt1_kkt
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored
 
 LAYOUT: Layout = {
@@ -67,7 +67,7 @@ OF_MEMORY: Layout = {"facet_remembered": (np.float64, "facets", "remembered")}
 def _in_cells(solution: Solution) -> Arrays:
     memory, flux = solution.data.memory, solution.cell_flux
     rows = {"u": solution.u_means, "sigma": flux.centroid, "divergence": solution.divergences}
-    if isinstance(solution, LinearSolution):
+    if isinstance(solution, RT1Solution):
         rows |= _at_vertices(solution)
     if solution.data.quasilinear is not None:
         kappa = solution.data.kappa_values
@@ -83,7 +83,7 @@ def _on_facets(solution: Solution) -> Arrays:
     return {**vars(solution.table()), **known}
 
 
-def _at_vertices(solution: LinearSolution) -> Arrays:
+def _at_vertices(solution: RT1Solution) -> Arrays:
     """What a solution of RT1 has in cells beside its means."""
     memory = solution.data.memory
     rows = {"u_at": solution.u_values, "sigma_at": solution.sigma_values}
@@ -93,8 +93,8 @@ def _at_vertices(solution: LinearSolution) -> Arrays:
     return rows | {"segment_at": solution.spaces.site_kinds["cell"].rows_of(solution.segments().segment)}
 
 
-def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:
-    spaces, options = linear_spaces(on_mesh), replace(stored.options, element="RT1")
+def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> RT1Solution:
+    spaces, options = rt1_spaces(on_mesh), replace(stored.options, element="RT1")
     in_time = stored.step is not None
     with_laws = {"segment_at"} if problem.has_laws_inside else set()
     needed = {*OF_LINEAR} - {"segment_at"} | with_laws | ({*OF_STEP} if in_time else set())
@@ -104,7 +104,7 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     sigma, u = spaces.flux(stored.in_cells(spaces, "sigma_at")), spaces.scalar(stored.in_cells(spaces, "u_at"))
     p_means, condition = stored.on_facets(spaces.mesh.comm, "means_at", "condition_at")
     memory = spaces.scalar(stored.in_cells(spaces, "memory_at")) if in_time else None
-    data = _as_left(linear_data(spaces, project_data(on_mesh, problem)), spaces, memory, stored)
+    data = _as_left(rt1_data(spaces, project_data(on_mesh, problem)), spaces, memory, stored)
     means = p_means.ravel()
     flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
     law = data.laws_at.chains.with_penalty(options.method.penalty, options.eps)
@@ -117,13 +117,13 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
         in_cells = data.cells_at.chains.conditions(at_cells).clean(*pair, data.conductance)
         segment, law = np.append(segment, at_cells), law.followed_by(data.cells_at.chains)
         above, flux = np.append(above, in_cells[0]), np.append(flux, in_cells[1])
-    iterate = LinearIterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u, means=means)
-    return LinearSolution(
+    iterate = RT1Iterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u, means=means)
+    return RT1Solution(
         spaces=spaces,
         data=data,
         p=spaces.linear_multiplier(linear_from_means(p_means)),
         outcome=stored.outcome(iterate, law.conditions(segment)),
-        kkt=linear_kkt(spaces, data, iterate, options.method.penalty, options.eps),
+        kkt=rt1_kkt(spaces, data, iterate, options.method.penalty, options.eps),
         **dict(stored.about) | {"options": options},
     )
 

@@ -18,9 +18,9 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.expressions import exactly
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import quasilinear_of
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import projected
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, WaterBefore, from_places, in_places
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps, Left
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -66,7 +66,7 @@ class SoilSteps(DiffusionSteps):
             InputError: If they are not finite, or of no usable size.
         """
         u, spaces = self._means("initial", self.initial), self.spaces
-        if isinstance(spaces, LinearSpaces):
+        if isinstance(spaces, RT1Spaces):
             u = projected(spaces, self.initial)
         theta, columns = (
             self._of_u.content(in_places(spaces, u))[0],

@@ -22,27 +22,27 @@ from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.meshes.dolfinx_meshes import check_parts
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
-from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.registry import methods_that
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces, build_spaces, linear_spaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data, rt1_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces, build_spaces, rt1_spaces
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
-from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import NO_RT0, Problem
+from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.soil_steps import SoilSteps
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
-from signorini_fenicsx.physics.diffusion.solve.mixed import LinearMixedBackend, MixedBackend
+from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend, RT1MixedBackend
 from signorini_fenicsx.physics.diffusion.solve.residuals import far_bound
+from signorini_fenicsx.physics.diffusion.solve.rt1_backend import RT1Backend
+from signorini_fenicsx.physics.diffusion.solve.rt1_residuals import RT1Iterate
 from signorini_fenicsx.physics.diffusion.solve.solvability import check_solvability
-from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask
+from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, RT1Task
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Remesh, Wish
@@ -74,11 +74,11 @@ class System:
         self._stores = False  # before there are steps with soils
 
     @cached_property
-    def linear_spaces(self) -> LinearSpaces:
+    def rt1_spaces(self) -> RT1Spaces:
         """The spaces of RT1 (collective when first used)."""
-        return linear_spaces(self.spaces)
+        return rt1_spaces(self.spaces)
 
-    def _linear(self, options: Options) -> bool:
+    def _is_rt1(self, options: Options) -> bool:
         """Whether the element is RT1, which is the only one for pairs.
 
         Raises:
@@ -96,7 +96,7 @@ class System:
         """
         spaces: Any = self.spaces
         options = wish.options
-        linear = self._linear(options)
+        linear = self._is_rt1(options)
         _check_same(self.boundary, problem.boundary)
         data: Any = project_data(spaces, problem, self._known)
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
@@ -106,14 +106,14 @@ class System:
             if lacking:
                 instead = "pairs take alg1 to alg4 and vi" if self.boundary.pairs else "take RT0"
                 raise InputError(f"element: {lacking}; {instead}")
-            spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
+            spaces, data = self.rt1_spaces, rt1_data(self.rt1_spaces, data)
         data = data.after(wish.memory)
         check_solvability(spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
         constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
         in_cells = bool(data.inside)  # then the cells are sites too
         made_for = options.backend, linear, options.tuning, in_cells
-        task: Any = (LinearTask if linear else DiffusionTask)(
+        task: Any = (RT1Task if linear else DiffusionTask)(
             spaces=spaces,
             data=data.less(spaces, constant),
             rho=options.rho,
@@ -135,7 +135,7 @@ class System:
         )
         if remesh is not None:
             task = replace(task, coarser=partial(_coarser, task, remesh, problem))
-        kind = LinearRun if linear else DiffusionRun
+        kind = RT1Run if linear else DiffusionRun
         return kind(task, options, data, constant, self.kept)
 
     def check(self, problem: Problem) -> list[str]:
@@ -155,7 +155,7 @@ class System:
         Raises:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
-        spaces = self.linear_spaces if self._linear(options) else self.spaces
+        spaces = self.rt1_spaces if self._is_rt1(options) else self.spaces
         self._stores = has_soils(problem.kappa)
         return (SoilSteps if self._stores else DiffusionSteps)(spaces, problem, evolution, start)
 
@@ -264,20 +264,20 @@ class DiffusionRun:
 
 
 @dataclass
-class LinearRun(DiffusionRun):
+class RT1Run(DiffusionRun):
     """A problem with RT1, ready to be solved."""
 
-    task: LinearTask
-    data: LinearData
+    task: RT1Task
+    data: RT1Data
 
-    def solution(self, outcome: Outcome, **about: Any) -> LinearSolution:
+    def solution(self, outcome: Outcome, **about: Any) -> RT1Solution:
         """The solution, with the constant that was taken from u (collective)."""
         spaces, iterate = self.task.spaces, outcome.iterate
-        assert isinstance(iterate, LinearIterate)
+        assert isinstance(iterate, RT1Iterate)
         iterate.u.x.array[:] += self.constant
         iterate.means[spaces.outer_sites] += self.constant
         self.kept.solved(outcome, self.task.present)
-        return LinearSolution(
+        return RT1Solution(
             spaces=spaces,
             data=self._data_found(),
             p=spaces.linear_multiplier(linear_from_means(spaces.site_kinds["facet"].rows_of(iterate.means))),
@@ -318,9 +318,9 @@ def _alone(name: str) -> Callable[..., Outcome]:
 
 def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
     """The backend that the options choose (collective)."""
-    if isinstance(spaces, LinearSpaces) and isinstance(data, LinearData):
+    if isinstance(spaces, RT1Spaces) and isinstance(data, RT1Data):
         hybrid = options.backend == "hybrid"
-        return LinearBackend(spaces, data, options.tuning) if hybrid else LinearMixedBackend(spaces, data)
+        return RT1Backend(spaces, data, options.tuning) if hybrid else RT1MixedBackend(spaces, data)
     if not isinstance(options.backend, str):
         return options.backend(spaces, data)
     return (
@@ -335,9 +335,9 @@ def _coarser(task: DiffusionTask, remesh: Remesh, problem: Problem, factor: floa
     spaces = _spaces(remesh(factor), problem.boundary)
     data = project_data(spaces, replace(problem, exact=None))
     backend: Any = partial(HybridBackend, tuning=task.tuning, multigrid=not task.whole, prefix="coarse_")
-    if isinstance(task, LinearTask):
-        spaces = linear_spaces(spaces)
-        data, backend = linear_data(spaces, data), partial(LinearBackend, tuning=task.tuning)
+    if isinstance(task, RT1Task):
+        spaces = rt1_spaces(spaces)
+        data, backend = rt1_data(spaces, data), partial(RT1Backend, tuning=task.tuning)
     return replace(
         task,
         spaces=spaces,

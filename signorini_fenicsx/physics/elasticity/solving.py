@@ -16,8 +16,8 @@ from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.discrete.unjoined import note_facing
+from signorini_fenicsx.meshes.dolfinx_meshes import check_parts
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import check_against_foundation
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, elastic_data

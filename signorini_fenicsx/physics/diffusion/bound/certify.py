@@ -63,7 +63,7 @@ from signorini_fenicsx.physics.diffusion.bound.passed_on import passed_on
 from signorini_fenicsx.physics.diffusion.bound.reaction import reaction_terms
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 LITTLE = 0.01
@@ -246,7 +246,7 @@ def gap_parts(
     oscillation = load_oscillation(
         spaces, data, metric, flux, load, reaction, memory, resolution, of_laws, inside.takes_f, enough
     )
-    if isinstance(spaces, LinearSpaces) and spaces.pairs:
+    if isinstance(spaces, RT1Spaces) and spaces.pairs:
         oscillation = oscillation + passed_on(spaces, metric, of_y.y)
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:

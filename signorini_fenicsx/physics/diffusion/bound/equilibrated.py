@@ -40,14 +40,14 @@ from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values, means_in_cells
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, RT1Flux, cell_values, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_residuals import passed
+from signorini_fenicsx.physics.diffusion.solve.rt1_backend import RT1Backend
+from signorini_fenicsx.physics.diffusion.solve.rt1_residuals import passed
 
 ROUNDING = 1e-9
 """If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding. The bound contains the share instead of L‖c‖/√κ or of a
@@ -82,9 +82,9 @@ def admissible_flux(
     spaces = solution.spaces
     sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     flux = solution.cell_flux if sigma is solution.sigma else CellFlux.of(spaces, sigma)
-    if isinstance(spaces, LinearSpaces) and not _passes(spaces, sigma):
+    if isinstance(spaces, RT1Spaces) and not _passes(spaces, sigma):
         return sigma, flux, u, np.inf, OF_PAIRS
-    if not isinstance(flux, LinearFlux):
+    if not isinstance(flux, RT1Flux):
         y, flux, u, rounding, why = _balanced(solution, metric, goal, sigma, flux, u)
     else:
         y, lowest, level = sigma, flux.function(), function_of(spaces.Q, _level(solution, flux, u))
@@ -99,7 +99,7 @@ def admissible_flux(
     return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), why
 
 
-def _passes(spaces: LinearSpaces, sigma: fem.Function) -> bool:
+def _passes(spaces: RT1Spaces, sigma: fem.Function) -> bool:
     """Whether masters take what goes through slaves, but for rounding (collective)."""
     values = spaces.flux_values(sigma)
     left = max([np.abs(each).max(initial=0.0) for _, each in passed(spaces, values)]) if spaces.pairs else 0.0
@@ -108,7 +108,7 @@ def _passes(spaces: LinearSpaces, sigma: fem.Function) -> bool:
     return bool(most <= ROUNDING * size)
 
 
-def _level(solution: Solution, flux: LinearFlux, u: fem.Function) -> Array:
+def _level(solution: Solution, flux: RT1Flux, u: fem.Function) -> Array:
     """u* per owned cell: where c_h > 0 it makes up for cu_h having another mean than c_h times that of u_h."""
     means, data = cell_values(u).mean(axis=1), solution.data
     if data.c_h is None:
@@ -179,7 +179,7 @@ def _without_penalty(solution: Solution) -> tuple[fem.Function, fem.Function]:
         open_facets = solution.outcome.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
         with contextlib.suppress(LinearSolveFailure):
-            backend: Any = LinearBackend if solution.spaces.degree else HybridBackend
+            backend: Any = RT1Backend if solution.spaces.degree else HybridBackend
             iterate = backend(solution.spaces, solution.data).solve(SiteConditions(kind))
             return iterate.sigma, iterate.u
     return solution.sigma, solution.u

@@ -31,7 +31,7 @@ from signorini_fenicsx.discrete.points import (
     in_facets,
 )
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import SAMPLES
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 
 ROUNDING = 1e-12
 """Relative size of what is rounding in jumps."""
@@ -176,7 +176,7 @@ class LawTrace:
 
     def lacking(self, spaces: Spaces) -> tuple[Array, str]:
         """‖∇d‖² and ‖d‖² on owned cells, see `certificate.opposite`, and why there is no d, in words (collective)."""
-        assert isinstance(spaces, LinearSpaces)
+        assert isinstance(spaces, RT1Spaces)
         contact, coefficients = spaces.contact, self.v.x.array[:, None]
         beside = [contact.take(spaces.outer_rows), contact.take(spaces.inner.rows), spaces.across, spaces.dirichlet]
         beside += [pair.masters.facets for _, pair in self.opposites]

@@ -43,7 +43,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import (
 )
 from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms, Term
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Rest
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, normal_flux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, RT1Flux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
@@ -229,11 +229,11 @@ def _load(
     For RT1 f_h has the mean of this one, and the slope of −∇·y. Where f is enclosed, its projection has the degree
     `of_load`.
     """
-    if data.f.number is not None and not isinstance(flux, LinearFlux):
+    if data.f.number is not None and not isinstance(flux, RT1Flux):
         return None
     cell, means_of_f, degree = spaces.mesh.basix_cell(), data.means_of_f, quadrature_degree(data.f, power=2)
     enclosed = resolution.encloses("f", data.f)
-    if enclosed and resolution.returns and not isinstance(flux, LinearFlux):  # what is made of f alone returns
+    if enclosed and resolution.returns and not isinstance(flux, RT1Flux):  # what is made of f alone returns
         of_f = _projected(spaces, data.f.values, degree)[1]
         off = np.where(takes_f, 0.0, of_f - means_of_f)
         is_more = np.abs(off) > ROUNDING * np.abs(owned_values(data.f_h))
@@ -242,7 +242,7 @@ def _load(
 
     def f_h(points: CellPoints) -> Array:
         means = np.repeat(means_of_f[points.rows, None], points.shape[1], axis=1)
-        if not isinstance(flux, LinearFlux):
+        if not isinstance(flux, RT1Flux):
             return means
         divergence = flux.divergence_at(points)
         return means + flux.divergence[points.rows].mean(axis=1, keepdims=True) - divergence

@@ -14,7 +14,7 @@ from signorini_fenicsx.certificate import passed_on as of_pairs
 from signorini_fenicsx.certificate.passed_on import PARTS, LatticeFields, kuhn_lattice
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces
 
 
 class Response(of_pairs.LatticeResponse):
@@ -50,7 +50,7 @@ def response(dim: int) -> Response:
     return Response.of(dim, LatticeFields(fluxes, masses, np.broadcast_to(through, (len(fluxes), *through.shape))))
 
 
-def passed_on(spaces: LinearSpaces, metric: CellMetric, y: fem.Function) -> Array:
+def passed_on(spaces: RT1Spaces, metric: CellMetric, y: fem.Function) -> Array:
     """How large ⟨r, w⟩ may be beside |w|_T for each owned cell; both sides of a piece are on one rank (collective)."""
     values = spaces.flux_values(y)
     flows = ((pair, -spaces.through(spaces.boundary_facets(pair.slaves), values)[:, :, None]) for pair in spaces.pairs)

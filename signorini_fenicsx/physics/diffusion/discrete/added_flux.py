@@ -26,7 +26,7 @@ from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree,
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, in_cells
 from signorini_fenicsx.expressions.simplices import INSIDE
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, RT1Flux
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -127,13 +127,13 @@ class AddedFlux:
             [from_inside @ self.at(points, kappa) for points in in_cells(mesh, owned_cells(mesh), inside)]
         )
 
-    def taken_from(self, flux: CellFlux, kappa: Datum) -> LinearFlux:
+    def taken_from(self, flux: CellFlux, kappa: Datum) -> RT1Flux:
         """A flux less the quadratics near b (collective)."""
         mesh = self.spaces.mesh
         cell = mesh.basix_cell()
         values = [flux.at(points) for points in in_cells(mesh, owned_cells(mesh), nodes(cell, DEGREE))]
         less = np.moveaxis(np.concatenate(values) - self.near(kappa), 2, 0)
-        return LinearFlux.by_components(flux.spaces, np.stack([coefficients_of(each, cell) for each in less]))
+        return RT1Flux.by_components(flux.spaces, np.stack([coefficients_of(each, cell) for each in less]))
 
     def function(self, kappa: Datum) -> fem.Function:
         """The quadratics near b as a function (collective)."""

@@ -25,7 +25,7 @@ from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet
 from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.points import FacetPoints, Points
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 
 type Weight = Array | float
 """B: a matrix per cell, or one for all, an array of shape (…, dim, dim); or a number times the identity."""
@@ -47,9 +47,9 @@ class CellFlux:
 
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
-        """The flux on cells of a function with up-to-date ghost values; of RT1 a `LinearFlux` (collective)."""
-        if spaces.degree and sigma.function_space is not spaces.V and not issubclass(cls, LinearFlux):
-            return cast(Self, LinearFlux.of(spaces, sigma))
+        """The flux on cells of a function with up-to-date ghost values; of RT1 a `RT1Flux` (collective)."""
+        if spaces.degree and sigma.function_space is not spaces.V and not issubclass(cls, RT1Flux):
+            return cast(Self, RT1Flux.of(spaces, sigma))
         mesh, dofs = spaces.mesh, cell_dofs(spaces.V)
         outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
         dim, cells = mesh.topology.dim, len(dofs)
@@ -149,7 +149,7 @@ def joined(spaces: Spaces, of_cells: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LinearFlux(CellFlux):
+class RT1Flux(CellFlux):
     """A flux of RT1 on the owned cells.
 
     Attributes:
@@ -161,7 +161,7 @@ class LinearFlux(CellFlux):
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
         """The flux on cells of a function with up-to-date ghost values (collective)."""
-        assert isinstance(spaces, LinearSpaces)
+        assert isinstance(spaces, RT1Spaces)
         cell = spaces.mesh.basix_cell()
         components = np.stack([coefficients_of(each, cell) for each in np.moveaxis(spaces.by_dolfinx(sigma), 2, 0)])
         return cls.by_components(spaces, components)

@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.points import facet_type, in_facets, quadratic_n
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance, vertex_graphs
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import Given, combined, parsed
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
 ROUNDING = 1e-12
@@ -160,7 +160,7 @@ def corners_passed(corners: Array, u: Array) -> Indices:
     return np.asarray(below + np.where(at.sum(axis=1) > 1, 1, 0))
 
 
-def at_vertices(spaces: LinearSpaces, laws: CellLaws) -> VertexLaws:
+def at_vertices(spaces: RT1Spaces, laws: CellLaws) -> VertexLaws:
     """The laws at the vertices of all owned cells, of none without laws in Ω, between u and −s (collective).
 
     Raises:

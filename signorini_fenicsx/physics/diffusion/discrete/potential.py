@@ -23,7 +23,7 @@ from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.bernstein import basis, jet
 from signorini_fenicsx.discrete.cell_shapes import mean_moments, squared_arms
 from signorini_fenicsx.discrete.points import Points, in_cells
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, means_in_cells
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, RT1Flux, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 
 DEGREE = 3
@@ -51,7 +51,7 @@ class Potential:
         With a given flux b in σ_h it is that of σ_h − b, and a `CubicPotential` too.
         """
         flux = data.driving(flux)
-        if isinstance(flux, LinearFlux):
+        if isinstance(flux, RT1Flux):
             return cast(Self, CubicPotential.of(data, flux, u))
         inverse = np.broadcast_to(inverses(data.matrices(flux.spaces)), (len(flux.slope), *flux.centroid.shape[1:] * 2))
         moment = mean_moments(squared_arms(flux.spaces.mesh, inverse))

@@ -25,7 +25,7 @@ from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.expressions import TREES, Tree, depends_on, values_and_gradient
 from signorini_fenicsx.expressions.evaluation import interval
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, hats_in_places
 from signorini_fenicsx.physics.diffusion.soils import FLOOR, FORMS, Soil
 
@@ -93,7 +93,7 @@ class Quasilinear:
     def _places(self) -> tuple[Array, Array]:
         """The points of each cell where û is looked at, shape (cells, n, dim), and their shares in κ."""
         spaces, hats = self.spaces, self._hats
-        if isinstance(spaces, LinearSpaces):
+        if isinstance(spaces, RT1Spaces):
             return hats @ spaces.vertices, hats.T / spaces.dim
         return hats @ corners(spaces.mesh), np.full((1, len(hats)), 1 / len(hats))
 
@@ -151,7 +151,7 @@ class Quasilinear:
 
     def traces_of(self, u: Array) -> Array:
         """Where û is looked at, a u that is linear on the owned cells, by its values at vertices, less the constant."""
-        if isinstance(self.spaces, LinearSpaces):
+        if isinstance(self.spaces, RT1Spaces):
             u = np.take_along_axis(u, self.spaces.order, axis=1)
         return self.traces_of_values(u)
 
@@ -163,7 +163,7 @@ class Quasilinear:
     def content(self, u: Array) -> tuple[Array, Array]:
         """The water in a unit volume of soil and its derivative, with these u in `places` of cells; 0 elsewhere."""
         spaces, content, slope = self.spaces, np.zeros_like(u), np.zeros_like(u)
-        x = hats_in_places(spaces) @ (spaces.vertices if isinstance(spaces, LinearSpaces) else corners(spaces.mesh))
+        x = hats_in_places(spaces) @ (spaces.vertices if isinstance(spaces, RT1Spaces) else corners(spaces.mesh))
         head = self.head(x, u)
         for inside, soil in self.soils:
             content[inside], slope[inside] = soil.content(x[inside], head[inside])

@@ -172,7 +172,7 @@ def build_spaces(
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearSpaces(LinearTraces, Spaces):
+class RT1Spaces(LinearTraces, Spaces):
     """The spaces of one domain for RT1, beside those of RT0, for which data have their means.
 
     Unknown a of a facet is û at its vertex a. On Γ_S û is in the basis dual to the hats φ_a, so that its coefficient is
@@ -304,6 +304,6 @@ class LinearSpaces(LinearTraces, Spaces):
         return sites
 
 
-def linear_spaces(spaces: Spaces) -> LinearSpaces:
+def rt1_spaces(spaces: Spaces) -> RT1Spaces:
     """The spaces of RT1 on the mesh of those of RT0 (collective)."""
-    return LinearSpaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)) | {"degree": 1})
+    return RT1Spaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)) | {"degree": 1})

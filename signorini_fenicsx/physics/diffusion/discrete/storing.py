@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete import cell_shapes
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 
 STEPS, HALVINGS = 100, 50
 """Newton's steps for u, and how often each is halved until what is left of the balance falls,"""
@@ -52,14 +52,14 @@ def hats_in_places(spaces: Spaces) -> Array:
 
 def in_places(spaces: Spaces, values: Array) -> Array:
     """A function in the places of the owned cells, from what `Spaces.scalar` takes of it."""
-    if isinstance(spaces, LinearSpaces):
+    if isinstance(spaces, RT1Spaces):
         return np.asarray(values @ hats_in_places(spaces).T)
     return values.reshape(-1, 1)
 
 
 def from_places(spaces: Spaces, values: Array) -> Array:
     """What `Spaces.scalar` takes of a function, from its values in the places."""
-    if isinstance(spaces, LinearSpaces):
+    if isinstance(spaces, RT1Spaces):
         return np.asarray(values @ np.linalg.inv(hats_in_places(spaces)).T)
     return values
 

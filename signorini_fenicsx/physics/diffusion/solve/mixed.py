@@ -36,15 +36,15 @@ from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import joined
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.jumps import with_one_flux
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.solve.facets import FacetBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_backend import VertexBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
+from signorini_fenicsx.physics.diffusion.solve.rt1_backend import VertexBackend
+from signorini_fenicsx.physics.diffusion.solve.rt1_residuals import RT1Iterate
 
 
-class LinearMixedBackend(VertexBackend):
+class RT1MixedBackend(VertexBackend):
     """The mixed method as the slides state it, on other spaces: unknowns σ_h, u_h, and û on the facets of the boundary.
 
         (κ⁻¹σ, τ) + (u, ∇·τ) − ⟨û, τ·n⟩ = 0,   (∇·σ, v) − (cu, v) = −(f, v),   −⟨σ·n, q⟩ = −⟨g, q⟩,
@@ -55,7 +55,7 @@ class LinearMixedBackend(VertexBackend):
 
     name = "mixed RT1"
 
-    def __init__(self, spaces: LinearSpaces, data: LinearData):
+    def __init__(self, spaces: RT1Spaces, data: RT1Data):
         """Assemble (collective).
 
         Raises:
@@ -108,7 +108,7 @@ class LinearMixedBackend(VertexBackend):
         """Name of the linear solver in use, after the user's PETSc options."""
         return self._solver.name()
 
-    def solve(self, conditions: SiteConditions) -> LinearIterate:
+    def solve(self, conditions: SiteConditions) -> RT1Iterate:
         """Solve as `Backend.solve` says (collective).
 
         Raises:
@@ -144,13 +144,13 @@ class LinearMixedBackend(VertexBackend):
         return np.full(self.sites, u), np.full(self.sites, sigma)
 
 
-def _in_points(spaces: LinearSpaces, datum: Datum) -> fem.Function:
+def _in_points(spaces: RT1Spaces, datum: Datum) -> fem.Function:
     """A datum by its values in points of the cells, those in which the hybrid system has it (collective)."""
     return _of_points(spaces, min(quadrature_degree(datum) + 2, DEGREES[1]), datum.shape, datum.values)
 
 
 def _of_points(
-    spaces: LinearSpaces, degree: int, shape: tuple[int, ...], values: Callable[[Points], Array]
+    spaces: RT1Spaces, degree: int, shape: tuple[int, ...], values: Callable[[Points], Array]
 ) -> fem.Function:
     """A function by its values in points of a quadrature (collective)."""
     element = basix.ufl.quadrature_element(spaces.mesh.basix_cell(), shape, degree=degree)
@@ -161,18 +161,18 @@ def _of_points(
     return function
 
 
-def _b_in_points(spaces: LinearSpaces, data: LinearData, b: AddedFlux) -> fem.Function:
+def _b_in_points(spaces: RT1Spaces, data: RT1Data, b: AddedFlux) -> fem.Function:
     """κ⁻¹b by its values in points of the cells, see `_in_points` (collective)."""
     degree = min(data.degree_of(b) + 2, DEGREES[1])
     return _of_points(spaces, degree, (spaces.dim,), partial(b.over_kappa, kappa=data.kappa))
 
 
-def _of_b(spaces: LinearSpaces, over_kappa: Expr) -> Form:
+def _of_b(spaces: RT1Spaces, over_kappa: Expr) -> Form:
     """(κ⁻¹b, τ)."""
     return ufl.inner(over_kappa, ufl.TestFunction(spaces.flux_space)) * ufl.dx
 
 
-def _linear_saddle_point(spaces: LinearSpaces, kappa: Expr, c: Expr) -> list[list[Form | None]]:
+def _linear_saddle_point(spaces: RT1Spaces, kappa: Expr, c: Expr) -> list[list[Form | None]]:
     """The blocks of (σ, u, û)."""
     V, Q, traces = spaces.flux_space, spaces.scalar_space, spaces.on_boundary[0]
     (sigma, u, trace), (tau, v, q) = (

@@ -32,9 +32,9 @@ from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solve.flux_backend import FluxBackend
 from signorini_fenicsx.physics.diffusion.solve.hybrid import DIRECT_UP_TO, HybridBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
 from signorini_fenicsx.physics.diffusion.solve.recorder import Recorder
-from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask
+from signorini_fenicsx.physics.diffusion.solve.rt1_backend import RT1Backend
+from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, RT1Task
 
 VI_PREFIX = "vi_"
 """Prefix of its PETSc options."""
@@ -95,8 +95,8 @@ def _free(task: DiffusionTask) -> tuple[FluxBackend, bool]:
     """The backend, whose own solver is not used, and whether an iterative one is the default (collective)."""
     unused = Tuning(direct_up_to=sys.maxsize, predict_from=sys.maxsize)
     backend: FluxBackend
-    if isinstance(task, LinearTask):
-        backend, most = LinearBackend(task.spaces, task.data, unused), OF_VERTICES[task.spaces.dim]
+    if isinstance(task, RT1Task):
+        backend, most = RT1Backend(task.spaces, task.data, unused), OF_VERTICES[task.spaces.dim]
     else:
         backend, most = HybridBackend(task.spaces, task.data, tuning=unused), DIRECT_UP_TO
     return backend, task.tuning.is_large(backend.dofs, most)

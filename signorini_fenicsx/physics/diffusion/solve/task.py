@@ -15,12 +15,12 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Loop, Task
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.solve.hybrid import PREDICT_FROM
-from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
 from signorini_fenicsx.physics.diffusion.solve.quasilinear import QuasiLinear
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, kkt_residuals
+from signorini_fenicsx.physics.diffusion.solve.rt1_residuals import RT1Iterate, rt1_kkt
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_sites
 
 COARSENING_IN_CELLS = 2.0
@@ -121,17 +121,17 @@ class DiffusionTask(Task):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearTask(DiffusionTask):
+class RT1Task(DiffusionTask):
     """A discrete diffusion problem with RT1."""
 
-    spaces: LinearSpaces
-    data: LinearData
+    spaces: RT1Spaces
+    data: RT1Data
 
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
         """KKT residuals of an iterate (collective)."""
-        assert isinstance(iterate, LinearIterate)
-        assert isinstance(self.present, LinearData)
-        return linear_kkt(self.spaces, self.present, iterate, penalty, self.eps)
+        assert isinstance(iterate, RT1Iterate)
+        assert isinstance(self.present, RT1Data)
+        return rt1_kkt(self.spaces, self.present, iterate, penalty, self.eps)
 
 
 def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:

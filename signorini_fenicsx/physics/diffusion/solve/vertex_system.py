@@ -19,9 +19,9 @@ from signorini_fenicsx.discrete.linear_traces import (
     opposite,
 )
 from signorini_fenicsx.discrete.vertex_laws import InCells
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces
 from signorini_fenicsx.physics.diffusion.solve.soil_traces import SoilTraces
 
 
@@ -32,7 +32,7 @@ class VertexSystem(SoilTraces, HybridSystem):
         spaces: The spaces.
     """
 
-    def __init__(self, spaces: LinearSpaces, data: LinearData):
+    def __init__(self, spaces: RT1Spaces, data: RT1Data):
         """Eliminate and assemble (collective)."""
         self.spaces, self._data, self._in_cells = spaces, data, None
         if data.inside:
@@ -57,7 +57,7 @@ class VertexSystem(SoilTraces, HybridSystem):
         self.assemble_again()
         self._take_loads()
 
-    def renew(self, data: LinearData) -> bool:
+    def renew(self, data: RT1Data) -> bool:
         """Go on with other data; False if these have another matrix (collective)."""
         same = data.kappa is self._data.kappa and data.c is self._data.c  # in the points of quadratures, too
         if data.inside or not same or not data.same_operator(self._data, self.spaces):
@@ -130,7 +130,7 @@ class VertexSystem(SoilTraces, HybridSystem):
             u_of_f=block.u_of_f @ values,
         )
 
-    def take_kappa(self, data: LinearData) -> None:
+    def take_kappa(self, data: RT1Data) -> None:
         """Go on with the same data but for κ (collective)."""
         self._data = data
         self.assemble_again()

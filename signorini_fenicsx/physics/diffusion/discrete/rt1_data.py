@@ -22,12 +22,12 @@ from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, order_number, reference
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import hats_in_places
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearData(Data):
+class RT1Data(Data):
     """The data on a mesh for RT1, beside their means.
 
     Attributes:
@@ -54,7 +54,7 @@ class LinearData(Data):
         """The law of each facet vertex of Γ_S and, with laws in Ω, of each vertex of each owned cell."""
         return self.laws_at.chains.followed_by(self.cells_at.chains)
 
-    def products(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+    def products(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(κ⁻¹τ, τ') for all pairs of the basis on cells, shape (cells, basis, basis) (collective)."""
         if self.kappa.polynomial == 0:
             kappa = self.kappa.values(data_points(spaces, numbers, 0).first)
@@ -64,7 +64,7 @@ class LinearData(Data):
         basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
         return cells.product_in_points(inverse, basis, points.weights)
 
-    def of_b(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
+    def of_b(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
         """(κ⁻¹b, τ) for the basis, shape (cells, basis), as the products have κ; None without b (collective)."""
         if self.b is None:
             return None
@@ -77,7 +77,7 @@ class LinearData(Data):
         """Degree for `data_points` of κ⁻¹b."""
         return max(b.degree, 0 if self.kappa.polynomial == 0 else quadrature_degree(self.kappa))
 
-    def by_kappa(self, spaces: LinearSpaces, sigma: Array) -> Array:
+    def by_kappa(self, spaces: RT1Spaces, sigma: Array) -> Array:
         """(φ_v κ⁻²σ, τ) for the hats of the vertices of cells and the basis, shape (cells, basis, d + 1) (collective).
 
         With a given flux b it is σ − b in the place of σ, unless b is a multiple of κ.
@@ -100,7 +100,7 @@ class LinearData(Data):
             )
         return found
 
-    def reactions(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
+    def reactions(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
         """(cφ_v, φ_w) for the hats of the vertices of cells; None if c = 0 (collective)."""
         if self.c_h is None:
             return None
@@ -108,11 +108,11 @@ class LinearData(Data):
             return self.quasilinear.storing.products(numbers)
         return _products(spaces, self.c, numbers, cells)
 
-    def _projection_of_f(self, spaces: LinearSpaces) -> Array:
+    def _projection_of_f(self, spaces: RT1Spaces) -> Array:
         """Π₁f at the vertices of the owned cells (collective)."""
         return projected(spaces, self.f)
 
-    def _without_sources(self, spaces: LinearSpaces, traces: Array) -> tuple[Array, Array]:
+    def _without_sources(self, spaces: RT1Spaces, traces: Array) -> tuple[Array, Array]:
         """See `Data` (collective)."""
         element, hats = reference(spaces.dim), hats_in_places(spaces)
         means, moments = np.empty((len(traces), len(hats))), np.empty((len(traces), len(hats), len(hats)))
@@ -129,7 +129,7 @@ class LinearData(Data):
             moments[numbers] = share * (hats @ compliance @ hats.T)
         return means, moments
 
-    def moments_of_f(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+    def moments_of_f(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
         moments = _moments(spaces, self.f, numbers, cells)
         if self.memory is not None:
@@ -138,7 +138,7 @@ class LinearData(Data):
             return moments
         return moments - self.constant * reactions.sum(axis=2)
 
-    def mean_sources(self, spaces: LinearSpaces, u: fem.Function) -> Array:
+    def mean_sources(self, spaces: RT1Spaces, u: fem.Function) -> Array:
         """See `Data.mean_sources` (collective)."""
         values, means = spaces.scalar_values(u), np.empty(len(spaces.order))
         for numbers in blocks_of_cells(spaces.mesh):
@@ -149,7 +149,7 @@ class LinearData(Data):
             means[numbers] = moments.sum(axis=1) / cells.measure
         return means
 
-    def in_cells(self, spaces: LinearSpaces, sigma: Array, u: Array) -> tuple[Array, Array]:
+    def in_cells(self, spaces: RT1Spaces, sigma: Array, u: Array) -> tuple[Array, Array]:
         """U less its reference and −s at the vertices of the owned cells, of fields as `VertexSystem` has them.
 
         Collective. s is the linear function with (s, v) = (f − cu + ∇·σ, v) for all linear v.
@@ -166,16 +166,16 @@ class LinearData(Data):
             s[numbers] = linear_values(of_s, cells.measure)
         return means_of_linear(u).ravel() - self.cells_at.p_h, -s.ravel()
 
-    def less(self, spaces: Spaces, constant: float) -> LinearData:
+    def less(self, spaces: Spaces, constant: float) -> RT1Data:
         """The data of the problem for u − constant, see `Data.less` (collective)."""
         if constant == 0:
             return self
-        assert isinstance(spaces, LinearSpaces)
+        assert isinstance(spaces, RT1Spaces)
         p_h, outer = self.laws_at.p_h.copy(), spaces.outer_sites
         p_h[outer] -= constant
         given = np.concatenate([spaces.unknowns(spaces.dirichlet).ravel(), spaces.site_kinds.unknown[outer]])
         means = super().less(spaces, constant)
-        assert isinstance(means, LinearData)
+        assert isinstance(means, RT1Data)
         inside = replace(self.cells_at, p_h=self.cells_at.p_h - constant)
         return replace(means, constant=constant, cells_at=inside)._moved(
             spaces, given, self.lift[given] - constant, p_h
@@ -186,12 +186,12 @@ class LinearData(Data):
         """See `Data.bound`."""
         return self.laws_at.p_h
 
-    def with_bound(self, spaces: Spaces, psi_h: Array) -> LinearData:
+    def with_bound(self, spaces: Spaces, psi_h: Array) -> RT1Data:
         """See `Data.with_bound` (collective)."""
-        assert isinstance(spaces, LinearSpaces)
+        assert isinstance(spaces, RT1Spaces)
         return self._moved(spaces, spaces.site_kinds.unknown, psi_h, psi_h)
 
-    def _moved(self, spaces: LinearSpaces, unknowns: AnyIndices, values: Array, p_h: Array) -> LinearData:
+    def _moved(self, spaces: RT1Spaces, unknowns: AnyIndices, values: Array, p_h: Array) -> RT1Data:
         """The data with other values of the lift at some owned unknowns, and other references (collective)."""
         lift = la.vector(spaces.traces.dofmap.index_map, spaces.dim)
         lift.array[:] = self.lift
@@ -200,26 +200,26 @@ class LinearData(Data):
         return replace(self, lift=lift.array.copy(), laws_at=replace(self.laws_at, p_h=p_h))
 
 
-def data_points(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], degree: int) -> CellPoints:
+def data_points(spaces: RT1Spaces, numbers: npt.NDArray[np.int32], degree: int) -> CellPoints:
     """Points in cells for data of this degree against two linear functions."""
     rule = basix.make_quadrature(SIMPLEX[spaces.dim], min(degree + 2, DEGREES[1]))
     return CellPoints(spaces.mesh, numbers, *rule)
 
 
-def hats_in(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], points: CellPoints) -> Array:
+def hats_in(spaces: RT1Spaces, numbers: npt.NDArray[np.int32], points: CellPoints) -> Array:
     """The hats of the vertices of cells, in their order, in points, shape (points, cells, d + 1)."""
     hats: Array = points.barycentric[0][:, spaces.order[numbers]]
     return hats
 
 
-def _moments(spaces: LinearSpaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+def _moments(spaces: RT1Spaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
     """(f, φ_v) of a datum for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
     points = data_points(spaces, numbers, quadrature_degree(datum) - 2)  # the rule of the means
     values = cells.determinant[:, None] * points.weights * datum.values(points)
     return np.asarray(np.einsum("nq,qnv->nv", values, hats_in(spaces, numbers, points)))
 
 
-def _products(spaces: LinearSpaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+def _products(spaces: RT1Spaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
     """(cφ_v, φ_w) of a datum for the hats of the vertices of cells (collective)."""
     if datum.polynomial == 0:
         return cells.hat_masses(datum.values(data_points(spaces, numbers, 0).first)[:, 0])
@@ -234,7 +234,7 @@ def _times(matrices: Array, values: Array) -> Array:
     return np.asarray((matrices @ values[:, :, None])[:, :, 0])
 
 
-def projected(spaces: LinearSpaces, datum: Datum, u: Array | None = None) -> Array:
+def projected(spaces: RT1Spaces, datum: Datum, u: Array | None = None) -> Array:
     """Π₁ of a datum, or of its product with u, at the vertices of the owned cells, shape (cells, d + 1) (collective).
 
     Args:
@@ -259,7 +259,7 @@ def as_matrices(kappa: Array, dim: int) -> Array:
     return np.asarray(np.eye(dim) * kappa[:, :, None, None]) if kappa.ndim == 2 else kappa
 
 
-def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
+def rt1_data(spaces: RT1Spaces, data: Data) -> RT1Data:
     """The data for RT1, from those with their means, which are checked (collective)."""
     laws, sites = vertex_laws(spaces, data.laws.of_parts), spaces.site_kinds["facet"]
     lift, load = fem.Function(spaces.traces), la.vector(spaces.traces.dofmap.index_map, spaces.dim)
@@ -273,7 +273,7 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     load.array[sites.unknown] = sites.measure * laws.flux_h
     owned = spaces.dim * spaces.traces.dofmap.index_map.size_local
     given = {name: getattr(data, name) for name in data.__dataclass_fields__}
-    linear = LinearData(
+    linear = RT1Data(
         **given,
         laws_at=laws,
         cells_at=at_vertices(spaces, data.inside),
@@ -288,7 +288,7 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     return replace(linear, quasilinear=of_u).with_kappa(spaces, of_u.first)
 
 
-def _linear(spaces: LinearSpaces, datum: Datum, facets: BoundaryFacets) -> Array:
+def _linear(spaces: RT1Spaces, datum: Datum, facets: BoundaryFacets) -> Array:
     """The vertex values of the linear function on each facet that is nearest to a datum (collective)."""
     points = facet_quadrature(spaces.mesh, facets.facets, min(quadrature_degree(datum) + 1, DEGREES[1]))
     return linear_values(facets.moments(datum.values(points), points.points, points.weights), facets.measure)

@@ -12,14 +12,14 @@ from signorini_fenicsx.contact.chains import Penalty
 from signorini_fenicsx.contact.residuals import relative, squares_off
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, by_gradient, sizes_of_solution
 
 
 @dataclass(frozen=True)
-class LinearIterate(Iterate):
+class RT1Iterate(Iterate):
     """An `Iterate` of RT1: σ in RT1, u in P1 on cells.
 
     Attributes:
@@ -30,9 +30,7 @@ class LinearIterate(Iterate):
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is not finite is no solution
-def linear_kkt(
-    spaces: LinearSpaces, data: LinearData, iterate: LinearIterate, penalty: Penalty | None, eps: float
-) -> KKTResiduals:
+def rt1_kkt(spaces: RT1Spaces, data: RT1Data, iterate: RT1Iterate, penalty: Penalty | None, eps: float) -> KKTResiduals:
     """Residuals of a discrete solution of RT1, computed from its fields (collective).
 
     Sites are the vertices of facets, with their share of |e|. Stationarity is tested with the basis of RT1 that is dual
@@ -71,7 +69,7 @@ def linear_kkt(
     return KKTResiduals(*(relative(each, scales) for each in residuals))
 
 
-def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, means: Array) -> Array:
+def _of_cells(spaces: RT1Spaces, data: RT1Data, sigma: Array, u: Array, means: Array) -> Array:
     """The squares of stationarity and of the mass balance, each as a gradient and as a flux, shape (2, 2) (collective).
 
     (9a) on a cell says what û is at the vertices of its facets: the residual at a facet inside Ω is the difference of
@@ -110,7 +108,7 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
     return squares + _of_traces(spaces, data, trace, sizes, means)
 
 
-def passed(spaces: LinearSpaces, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
+def passed(spaces: RT1Spaces, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
     """What masters do not take of what goes through slaves, and what goes through slaves without one (collective)."""
     nothing = np.empty(0, dtype=np.int32)
     facets = np.unique(np.concatenate([nothing, *(pair.masters for pair in spaces.pairs)]))
@@ -125,7 +123,7 @@ def passed(spaces: LinearSpaces, sigma: Array) -> Iterator[tuple[BoundaryFacets,
     yield free, spaces.through(free, sigma)
 
 
-def _of_traces(spaces: LinearSpaces, data: LinearData, trace: Array, sizes: Array, means: Array) -> Array:
+def _of_traces(spaces: RT1Spaces, data: RT1Data, trace: Array, sizes: Array, means: Array) -> Array:
     """The part of the facets, see `_of_cells`, from û as each cell has it and the sizes of the basis functions."""
     dim, numbers, inner = spaces.dim, spaces.traces.dofmap.index_map, spaces.inner.rows
     by_facet = trace.reshape(-1, dim + 1, dim)

@@ -16,32 +16,32 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data, rt1_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.show import linear_shown
+from signorini_fenicsx.physics.diffusion.show import rt1_shown
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
+from signorini_fenicsx.physics.diffusion.solve.rt1_residuals import RT1Iterate
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class LinearSolution(Solution):
+class RT1Solution(Solution):
     """A discrete solution with RT1, see `Solution`; p is linear on each facet."""
 
-    spaces: LinearSpaces
-    data: LinearData
+    spaces: RT1Spaces
+    data: RT1Data
     order = 2
-    table, other_tables, traces = linear_shown.table, linear_shown.other_tables, linear_shown.traces
+    table, other_tables, traces = rt1_shown.table, rt1_shown.other_tables, rt1_shown.traces
 
     @property
-    def iterate(self) -> LinearIterate:
+    def iterate(self) -> RT1Iterate:
         """The last iterate."""
-        assert isinstance(self.outcome.iterate, LinearIterate)
+        assert isinstance(self.outcome.iterate, RT1Iterate)
         return self.outcome.iterate
 
     def of_problem(self, problem: Problem) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
-        data = linear_data(self.spaces, project_data(self.spaces, problem)).after(self.data.memory)
+        data = rt1_data(self.spaces, project_data(self.spaces, problem)).after(self.data.memory)
         return replace(self, problem=problem, data=data)
 
     def linearised(self, tolerance: float) -> Any:
@@ -50,7 +50,7 @@ class LinearSolution(Solution):
         Raises:
             InputError: If it is a step in time, or there are laws in Ω.
         """
-        from signorini_fenicsx.physics.diffusion.derivative.linear_fluxes import linearised  # which knows solutions
+        from signorini_fenicsx.physics.diffusion.derivative.rt1_linearised import linearised  # which knows solutions
 
         if self.step is not None or self.data.inside:
             raise InputError("element: with RT1 there are no derivatives in time, nor with laws in Ω; take RT0")
@@ -68,7 +68,7 @@ class LinearSolution(Solution):
 
     @cached_property
     def sigma_values(self) -> Array:
-        """σ_h at the nodes of the owned cells, see `LinearSpaces.flux_values` (collective when first used)."""
+        """σ_h at the nodes of the owned cells, see `RT1Spaces.flux_values` (collective when first used)."""
         return self.spaces.flux_values(self.sigma)
 
     def trace_at(self, points: FacetPoints, rows: Indices | slice = slice(None)) -> Array:
@@ -88,7 +88,7 @@ class LinearSolution(Solution):
 
     @property
     def u_values(self) -> Array:
-        """u_h at the vertices of the owned cells, see `LinearSpaces.scalar_values`."""
+        """u_h at the vertices of the owned cells, see `RT1Spaces.scalar_values`."""
         return self.spaces.scalar_values(self.u)
 
     def flux_on_signorini(self) -> fem.Function:

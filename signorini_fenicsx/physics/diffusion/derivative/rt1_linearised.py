@@ -34,10 +34,10 @@ from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.physics.diffusion.derivative.linearised import check_differentiable
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
-from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
-from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import as_matrices, data_points, hats_in
+from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
+from signorini_fenicsx.physics.diffusion.solve.rt1_backend import RT1Backend
 
 
 class LinearisedFluxes(HybridLinearised):
@@ -211,7 +211,7 @@ def _quadratics(hats: Array) -> Array:
     return np.concatenate([hats * (2 * hats - 1), np.stack(edges, axis=-1)], axis=-1)
 
 
-def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
+def linearised(solution: RT1Solution, tolerance: float) -> LinearisedFluxes:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
     Raises:
@@ -220,4 +220,4 @@ def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
     check_differentiable(solution)
     if solution.data.quasilinear is not None:
         raise InputError("derivatives: with RT1 there are none where κ depends on u; take RT0")
-    return LinearisedFluxes(solution, solution.backend_of(LinearBackend), solution.law, tolerance)
+    return LinearisedFluxes(solution, solution.backend_of(RT1Backend), solution.law, tolerance)

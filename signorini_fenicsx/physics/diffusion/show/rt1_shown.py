@@ -20,7 +20,7 @@ from signorini_fenicsx.pictures.gather import Known, whole_boundary
 from signorini_fenicsx.solving.solved import Columns
 
 if TYPE_CHECKING:  # it shows this
-    from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
+    from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class VertexTable(GammaTable):
     x_at: Array
 
 
-def table(solution: LinearSolution) -> VertexTable:
+def table(solution: RT1Solution) -> VertexTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces, data, kind = solution.spaces, solution.data, solution.spaces.site_kinds["facet"]
     condition = kind.rows_of(solution.outcome.conditions.kind).astype(np.int64)
@@ -72,7 +72,7 @@ def table(solution: LinearSolution) -> VertexTable:
     )
 
 
-def other_tables(solution: LinearSolution) -> dict[str, Columns]:
+def other_tables(solution: RT1Solution) -> dict[str, Columns]:
     """`vertices.csv`: the vertices of the facets of Γ_S, facet by facet as in `facets.csv`; and that of `shown`.
 
     Collective.
@@ -96,7 +96,7 @@ def other_tables(solution: LinearSolution) -> dict[str, Columns]:
     }
 
 
-def traces(solution: LinearSolution) -> dict[int, Known]:
+def traces(solution: RT1Solution) -> dict[int, Known]:
     """The facets of each kind of boundary, see `shown.traces`."""
     spaces, p = solution.spaces, solution.p_means.copy()
     p[np.setdiff1d(np.arange(len(p)), spaces.outer_rows)] = np.nan

@@ -20,12 +20,12 @@ from signorini_fenicsx.discrete.posed import State
 from signorini_fenicsx.discrete.sizes import Sizes
 from signorini_fenicsx.discrete.trace_multigrid import facet_solver
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
-from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data
 from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
-from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces
 from signorini_fenicsx.physics.diffusion.solve.flux_backend import FluxBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
+from signorini_fenicsx.physics.diffusion.solve.rt1_residuals import RT1Iterate
 from signorini_fenicsx.physics.diffusion.solve.vertex_system import VertexSystem
 
 
@@ -38,8 +38,8 @@ class VertexBackend(DataBackend):
     noun = ("vertex", "vertices")
     comm: MPI.Comm
     sites: int
-    spaces: LinearSpaces
-    data: LinearData
+    spaces: RT1Spaces
+    data: RT1Data
 
     @property
     def laws(self) -> VertexLaws:
@@ -48,7 +48,7 @@ class VertexBackend(DataBackend):
 
     def iterate_of(
         self, conditions: SiteConditions, p: Array, sigma: fem.Function, u: fem.Function, iterations: int
-    ) -> LinearIterate:
+    ) -> RT1Iterate:
         """The iterate from means of û less the references and from fields."""
         data, laws, spaces = self.data, self.laws, self.spaces
         flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - laws.flux_h
@@ -58,9 +58,9 @@ class VertexBackend(DataBackend):
             above, force = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
             segment = data.cells_at.chains.segments(conditions[len(p) :])
             at_laws, flux = np.append(at_laws, data.cells_at.openings(segment, above, force)), np.append(flux, force)
-        return LinearIterate(*conditions.clean(at_laws, flux, data.conductance), iterations, sigma, u, means)
+        return RT1Iterate(*conditions.clean(at_laws, flux, data.conductance), iterations, sigma, u, means)
 
-    def without_flux(self, iterate: Any, where: Mask) -> LinearIterate:
+    def without_flux(self, iterate: Any, where: Mask) -> RT1Iterate:
         """The iterate with σ·n = q_S at some vertices, and the trace that belongs to it by (37) (collective).
 
         If the flux changes by δσ on a facet, û changes at the vertices of the facets of Γ_S of the same cell by
@@ -90,7 +90,7 @@ class VertexBackend(DataBackend):
         return self.spaces.places
 
 
-class LinearBackend(VertexBackend, FluxBackend):
+class RT1Backend(VertexBackend, FluxBackend):
     """The backend with one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
 
     The flux is the value of σ·n − Π₁q_S at the vertex. With laws in Ω the vertices of cells follow, with the mean
@@ -98,11 +98,11 @@ class LinearBackend(VertexBackend, FluxBackend):
     """
 
     name = "hybrid RT1"
-    spaces: LinearSpaces
+    spaces: RT1Spaces
     system: VertexSystem
-    data: LinearData
+    data: RT1Data
 
-    def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning | None = None):
+    def __init__(self, spaces: RT1Spaces, data: RT1Data, tuning: Tuning | None = None):
         """Assemble and choose the solver (collective).
 
         Args:
@@ -125,7 +125,7 @@ class LinearBackend(VertexBackend, FluxBackend):
         self.exact_to = ROUNDING
         return self
 
-    def _take(self, data: LinearData) -> None:
+    def _take(self, data: RT1Data) -> None:
         """Take data with this matrix (collective)."""
         self.data, self._state, self.conductance = data, State.START, data.conductance
         loads = (self.system.load, data.load)
@@ -142,7 +142,7 @@ class LinearBackend(VertexBackend, FluxBackend):
         """The backend itself, as traces cost less than fields."""
         return self
 
-    def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> LinearIterate:
+    def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> RT1Iterate:
         """The iterate from the values of σ and u (collective)."""
         self.sizes.take(u, sigma)
         fields = self.spaces.flux(sigma), self.spaces.scalar(u)
