@@ -178,20 +178,20 @@ def adapt(
     from signorini_fenicsx.output.writing import Found, SolutionFiles, write_adapt
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
-    wanted, part, narrow, most = _checked(target, max_cells, theta, quantity, width)
+    error, share, length, cells = _checked(target, max_cells, theta, quantity, width)
     problem = on_root(comm, lambda: _on_first_mesh(case, new | {"h": h}))
     _refuse_lacking(problem, {"--html": html})
     check_named(problem, quantity)
-    end: Any = {"target": wanted, "max_cells": most, "width": narrow, "on_step": lambda _: end_if_told(comm)}
+    end: Any = {"target": error, "max_cells": cells, "width": length, "on_step": lambda _: end_if_told(comm)}
     refined = partial(adapt_case, problem, comm, **end, by=quantity, on_row=report.mesh, on_note=report.line)
     with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
         report.heading(problem, comm)
-        report.columns(wanted, most, {} if quantity is None else {quantity: narrow}, problem)
+        report.columns(error, cells, {} if quantity is None else {quantity: length}, problem)
         with failure_kept(folder, plot=plot, html=html):
-            solution, certificate, later = _so_far(partial(refined, theta=part))
+            solution, certificate, later = _so_far(partial(refined, theta=share))
         quantities = {} if certificate is None or not report.rows else report.rows[-1].quantities
         measured = {name: each for name, each in quantities.items() if name == quantity}
-        missed = "" if later else _missed(certificate, wanted, measured, narrow)
+        missed = "" if later else _missed(certificate, error, measured, length)
         table = partial(write_adapt, report.rows, comm)
         files = SolutionFiles(solution).publish(folder, failed=bool(missed), others={"adapt.csv": table})
         if uniform and later is None:
@@ -200,7 +200,7 @@ def adapt(
         files.publish_others(folder, Found(certificate=certificate, quantities=quantities), plot=plot, html=html)
         folder.attempt("pictures of the refinement", partial(files.refinement, report.rows, folder.path))
         if missed:
-            raise NumericalFailure(f"{missed}, with the largest mesh of at most {most} cells; {folder.last_state()}")
+            raise NumericalFailure(f"{missed}, with the largest mesh of at most {cells} cells; {folder.last_state()}")
         if later is not None:
             keep_beside(folder, later)
         report.adapted(solution.best_rate, certificate, quantities)
@@ -240,14 +240,14 @@ def _checked(
         raise InputError("adapt: --quantity and --width, the length of its interval to reach, belong together")
     if target is None and max_cells is None and width is None:
         raise InputError("adapt: give --target, the relative error to reach, --max-cells, or --quantity with --width")
-    wanted = None if target is None else option.positive("--target", target)
-    part = option.positive("--theta", theta)
-    if not MIN_THETA <= part <= 1:
+    error = None if target is None else option.positive("--target", target)
+    share = option.positive("--theta", theta)
+    if not MIN_THETA <= share <= 1:
         raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
     if max_cells is not None and max_cells < 1:
         raise InputError(f"--max-cells {max_cells}: must be at least 1")
-    narrow = None if width is None else option.positive("--width", width)
-    return wanted, part, narrow, max_cells or DEFAULT_MAX_CELLS
+    length = None if width is None else option.positive("--width", width)
+    return error, share, length, max_cells or DEFAULT_MAX_CELLS
 
 
 def _on_first_mesh(name: str, new: Mapping[str, Any]) -> "CaseFile":
