@@ -81,71 +81,27 @@ def slopes(tree: Tree, vertices: Array, frame: Frame, enough: Array) -> tuple[Ar
 
 @dataclass(frozen=True)
 class Means:
-    """Enclosures of d = e − p on each of n simplices; infinite where nothing is known.
+    """Enclosures of d = e − p on each of n simplices S; infinite where nothing is known.
 
     Attributes:
         mean: Interval with the mean of d.
         norm: Upper bound of the root mean square of d.
+        linear: Upper bound of ‖Π₁d‖/|S|^½, with the projection Π₁ to the linear functions on S.
         place: Centroid of the part that adds most to the uncertainty, shape (n, dim).
         parts: Number of parts that were looked at.
     """
 
     mean: Interval
     norm: Array
+    linear: Array
     place: Array
     parts: int
 
 
-def means(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, weight: Array) -> Means:
+def means(
+    tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, weight: Array, *, linear: bool = False
+) -> Means:
     """Enclose means (collective): Σ weight·(half width)² ≤ 1 is aimed at, in the sum over all simplices.
-
-    Args:
-        tree: The expression.
-        vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
-        p: The polynomials, of a degree ≤ K.
-        frame: The domain.
-        weight: Of each simplex.
-    """
-    number = len(vertices)
-
-    def look(parts: Parts, remainder: Remainder) -> Array:
-        _, rule, d = _left(tree, p, vertices, parts)
-        rho, middle = 2 * remainder.distance(), d @ rule
-        return np.stack([middle, rho, np.sqrt(d**2 @ rule) + rho], axis=1)
-
-    def need(parts: Parts, of_parts: Array) -> Array:
-        width = parts.share * of_parts[:, 1]
-        of_simplex = np.bincount(parts.simplex, np.where(np.isfinite(width), width, 0.0), number)[parts.simplex]
-        return np.where(np.isfinite(width), weight[parts.simplex] * width * of_simplex, np.inf)
-
-    parts, of_parts = in_parts([tree], vertices, frame, look, need)
-    middle, radius, square = parts.sums(np.column_stack([of_parts[:, :2], of_parts[:, 2] ** 2]), number)
-    middle[~np.isfinite(middle)] = 0.0
-    place = _place(parts, parts.share * of_parts[:, 1], vertices)
-    return Means(Interval(middle - radius, middle + radius), np.sqrt(square), place, len(of_parts))
-
-
-def _left(tree: Tree, p: Quadratic | Polynomial, vertices: Array, parts: Parts) -> tuple[Array, Array, Array]:
-    """Points of a quadrature in parts of simplices, its weights, and d there."""
-    x, rule = in_points(parts.vertices)
-    return x, rule, values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
-
-
-@dataclass(frozen=True)
-class LinearMoments:
-    """Enclosures of the linear part of d = e − p on each of n simplices S; infinite where nothing is known.
-
-    Attributes:
-        linear: Upper bound of ‖Π₁d‖/|S|^½, with the projection Π₁ to the linear functions on S.
-        norm: Upper bound of the root mean square of d.
-    """
-
-    linear: Array
-    norm: Array
-
-
-def moments(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, weight: Array) -> LinearMoments:
-    """Enclose linear parts (collective): Σ weight·(what is unsure of `linear`)² ≤ 1 is aimed at, over all simplices.
 
     On a part P of S the quadrature is exact for linear functions l times what is within ρ of e, so it has (d, l)_P but
     for 2ρ|P|^½‖l‖_P.
@@ -156,24 +112,34 @@ def moments(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame
         p: The polynomials, of a degree ≤ K.
         frame: The domain.
         weight: Of each simplex.
+        linear: Whether what is unsure of `Means.linear` is aimed at, in the place of the half width.
     """
     number, corners = vertices.shape[:2]
     slopes, centre = barycentric_gradients(vertices), vertices.mean(axis=1)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        (x, rule, d), rho = _left(tree, p, vertices, parts), 2 * remainder.distance()
+        (x, rule), rho = in_points(parts.vertices), 2 * remainder.distance()
+        d = values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
         hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.simplex, None], slopes[parts.simplex])
-        return np.column_stack([rho**2, (np.sqrt(d**2 @ rule) + rho) ** 2, np.einsum("nq,q,nqv->nv", d, rule, hats)])
+        of_hats = np.einsum("nq,q,nqv->nv", d, rule, hats)
+        return np.column_stack([rho, rho**2, d @ rule, (np.sqrt(d**2 @ rule) + rho) ** 2, of_hats])
 
     def need(parts: Parts, of_parts: Array) -> Array:
-        return np.asarray(weight[parts.simplex] * parts.share * of_parts[:, 0])
+        if linear:
+            return np.asarray(weight[parts.simplex] * parts.share * of_parts[:, 1])
+        width = parts.share * of_parts[:, 0]
+        of_simplex = np.bincount(parts.simplex, np.where(np.isfinite(width), width, 0.0), number)[parts.simplex]
+        return np.asarray(weight[parts.simplex] * width * of_simplex)
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need)
-    unsure, square, *of_hats = parts.sums(of_parts, number)
+    radius, unsure, middle, square, *of_hats = parts.sums(of_parts, number)
     with np.errstate(invalid="ignore"):
         squares = np.sum(np.square(of_hats), axis=0) - np.sum(of_hats, axis=0) ** 2 / (corners + 1)
-        linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
-    return LinearMoments(np.where(np.isnan(linear), np.inf, linear), np.sqrt(square))
+        of_linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
+    of_linear[np.isnan(of_linear)] = np.inf
+    middle[~np.isfinite(middle)] = 0.0
+    place = _place(parts, parts.share * of_parts[:, 0], vertices)
+    return Means(Interval(middle - radius, middle + radius), np.sqrt(square), of_linear, place, len(of_parts))
 
 
 @dataclass(frozen=True)

@@ -185,6 +185,25 @@ class Truth:
         return Truth(~self.possibly, ~self.surely)
 
 
+def almost_everywhere(sign: str, truth: Truth, varies: Mask, below: Mask, above: Mask) -> Truth:
+    """A comparison of a with 0 almost everywhere on sets: where a certainly varies, it is 0 on a set of measure 0.
+
+    Args:
+        sign: Of the comparison.
+        truth: Of the comparison in all points.
+        varies: Where a varies.
+        below: Where it varies, and is at most 0.
+        above: Where it varies, and is at least 0.
+    """
+    match sign:
+        case "==":
+            return Truth(~varies & truth.surely, ~varies & truth.possibly)
+        case "!=":
+            return Truth(varies | truth.surely, varies | truth.possibly)
+    holds, fails = (below, above) if sign[0] == "<" else (above, below)
+    return Truth(truth.surely | (holds & ~fails), truth.possibly & ~(fails & ~holds))
+
+
 class Elementary(Protocol):
     """Bounds of elementary functions at floats."""
 

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, inve
 from signorini_fenicsx.base.reference_cells import EDGES, SIMPLEX, orthonormal
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.evaluation import Intervals, values
-from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth, enclosing, stacked
+from signorini_fenicsx.expressions.intervals import Elementary, Interval, almost_everywhere, enclosing, stacked
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 
 INSIDE = 0.75
@@ -273,16 +273,7 @@ class _OnSimplices(Differentiated):
         change = np.fmax.reduce(np.maximum(along.lo, -along.hi), axis=1)
         varies = change > 0
         below, above = varies & (all_values.hi <= 0), varies & (all_values.lo >= 0)
-        truth: Truth = over_box[0]
-        match sign:
-            case "==":
-                truth_inside = Truth(~varies & truth.surely, ~varies & truth.possibly)
-            case "!=":
-                truth_inside = Truth(varies | truth.surely, varies | truth.possibly)
-            case _:
-                holds, fails = (below, above) if sign[0] == "<" else (above, below)
-                truth_inside = Truth(truth.surely | (holds & ~fails), truth.possibly & ~(fails & ~holds))
-        return (truth_inside,), at_centre
+        return (almost_everywhere(sign, over_box[0], varies, below, above),), at_centre
 
 
 def changes(slope: Interval, arms: Array, pad: Array) -> Interval:

@@ -21,9 +21,9 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions import intervals
-from signorini_fenicsx.expressions.evaluation import COMPARISONS, Logic
+from signorini_fenicsx.expressions.evaluation import COMPARISONS, Intervals, Logic
 from signorini_fenicsx.expressions.functions import FUNCTIONS
-from signorini_fenicsx.expressions.intervals import Interval, Truth, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, Truth, almost_everywhere, enclosing
 from signorini_fenicsx.expressions.series import (
     DEGREE,
     NUMPY,
@@ -176,21 +176,9 @@ class _Taylor(Logic):
             change = np.where(a.rough == 0, np.maximum(np.fmax(least, -most).max(axis=0), 0.0), 0.0)
             varies, slack = change > 0, self._regions.near * change
             below, above = varies & (hi <= slack), varies & (lo >= -slack)
-        holds_at = np.asarray(COMPARISONS[sign](a.at, 0.0))
-        match sign:
-            case "==":
-                condition = _Condition(~varies & (lo == 0) & (hi == 0), ~varies & ~((lo > 0) | (hi < 0)), holds_at)
-            case "!=":
-                return ~self.compare("==", left, right)
-            case _:
-                holds, fails = (below, above) if sign[0] == "<" else (above, below)
-                surely, never = {
-                    "<": (hi < 0, lo >= 0),
-                    "<=": (hi <= 0, lo > 0),
-                    ">": (lo > 0, hi <= 0),
-                    ">=": (lo >= 0, hi < 0),
-                }[sign]
-                condition = _Condition(surely | (holds & ~fails), ~never & ~(fails & ~holds), holds_at)
+        everywhere = Intervals({}, NUMPY).compare(sign, whole, enclosing(0.0))
+        truth = almost_everywhere(sign, everywhere, varies, below, above)
+        condition = _Condition(truth.surely, truth.possibly, np.asarray(COMPARISONS[sign](a.at, 0.0)))
         self._record(a, condition.possibly & ~condition.surely)
         return condition
 

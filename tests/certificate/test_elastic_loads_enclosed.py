@@ -20,7 +20,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.expressions import read, values
 from signorini_fenicsx.expressions.cutting import Frame
-from signorini_fenicsx.expressions.enclosures import moments
+from signorini_fenicsx.expressions.enclosures import means
 from signorini_fenicsx.expressions.simplices import through
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -169,7 +169,7 @@ def test_moments(corners: int):
     p = rng.uniform(-0.5, 0.5, (5, len(lattice(corners, degree))))
     frame = Frame(np.array([[0.0] * dim, [1.0] * dim]), 5, MPI.COMM_SELF)
     near = through(vertices, lattice(corners, degree)[:, 1:] / degree, p, degree)
-    found = moments(tree, vertices, near, frame, np.full(5, 1e6))
+    found = means(tree, vertices, near, frame, np.full(5, 1e6), linear=True)
     x = np.einsum("qv,nvi->nqi", points, vertices)
     d = values(tree, x) - p @ lagrange(points, degree).T
     mass = (1 + np.eye(corners)) / (corners * (corners + 1))

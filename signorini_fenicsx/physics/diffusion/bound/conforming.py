@@ -375,7 +375,7 @@ def _with_exact_data(
             quadrature_degree(*used, data.kappa), *(2 * min(datum.polynomial or 0, EXACT) + 2 for datum in used)
         ),
         parts=trace,
-        lacking=np.sqrt(metric.high / np.linalg.eigvalsh(metric.inverse)[:, 0] * lacking[:, 0]),
+        lacking=np.sqrt(metric.kappa_max * lacking[:, 0]),
         lacked=np.sqrt(lacking[:, 1]),
     )
 

@@ -39,7 +39,7 @@ from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.rays import Ray, jumps_in_nodes
-from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
+from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 CUT_OFFS = 4.0
@@ -196,8 +196,7 @@ class _Missed:
         """
         resolution, metric, vertices = self.resolution, self.metric, self.resolution.vertices[cells]
         comm, frame = resolution.spaces.mesh.comm, resolution.spaces.frame
-        inverse = of_all_cells(metric.inverse, len(metric.volume))[cells]
-        factor = metric.volume[cells] * metric.high[cells] / np.linalg.eigvalsh(inverse)[:, 0]
+        factor = metric.volume[cells] * metric.kappa_max[cells]
         rough_kappa = np.sqrt(2 * np.maximum(metric.rho[cells], 0.0) / metric.kappa_min[cells])
         factor = factor * np.where(np.isfinite(rough_kappa), 1 + rough_kappa, 1.0) ** 2  # see `mismatch`
         weight = factor / max(SHARE * resolution.error, SMALLEST) ** 2

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import basix
 import dolfinx.mesh
@@ -69,6 +69,11 @@ class CellMetric:
     high: Array
     kappa_min: Array
     rho: Array
+
+    @cached_property
+    def kappa_max(self) -> Array:
+        """The largest eigenvalue of κ_h, times `high`."""
+        return np.asarray(self.high / np.linalg.eigvalsh(self.inverse)[:, 0])
 
     def squares(self, flux: CellFlux) -> Array:
         """∫_T σ·κ_h⁻¹σ of a flux."""

@@ -44,7 +44,7 @@ from signorini_fenicsx.expressions.simplices import INSIDE, Parts, barycentric_g
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
-from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
+from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution
 from signorini_fenicsx.physics.diffusion.discrete.added_flux import DEGREE as DEGREE_OF_B
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells
@@ -137,7 +137,7 @@ def enclosed(resolution: Resolution, metric: CellMetric, kappa: Datum, size: flo
     number, frame = len(metric.volume), resolution.spaces.frame
     low, high, kappa_min = metric.low.copy(), metric.high.copy(), metric.kappa_min.copy()
     rho = np.zeros(number)
-    inverse = of_all_cells(metric.inverse, number)
+    inverse = metric.inverse
     for piece in conductivities(resolution, kappa):
         cells = piece.cells
         vertices, tolerance = resolution.vertices[cells], SHARE * np.maximum(metric.kappa_min[cells], SMALLEST)
@@ -301,12 +301,11 @@ class Energies:
         extra, mesh, trace = np.zeros(len(self.metric.volume)), self.resolution.spaces.mesh, field.trace
         if trace is None:
             return extra
-        inverse = of_all_cells(self.metric.inverse, len(extra))
         rule = positive_quadrature(mesh.basix_cell(), degree_near(trace) + self._degree)
         for points in in_cells(mesh, near_cells[rough], *rule):
             change = field.slope(points, near=True) - field.slope(points, near=False)
-            largest = self.metric.high[points.cells] / np.linalg.eigvalsh(inverse[points.cells])[:, 0]
-            extra[points.cells] = np.sqrt(largest * points.integrals(_product(change, change)))
+            squares = self.metric.kappa_max[points.cells] * points.integrals(_product(change, change))
+            extra[points.cells] = np.sqrt(squares)
         return extra
 
 

@@ -247,7 +247,7 @@ def reaction_terms(
     """
     if data.c.number == 0:
         return None
-    level, fine = owned_values(u), _fine(metric, resolution)
+    level, fine = owned_values(u), resolution.tolerance(metric)
     nodes = np.abs(trace.v.x.array[cell_dofs(trace.v.function_space)] - level[:, None]).max(axis=1)
     farthest = np.abs(level) + nodes
     coefficient = _coefficient(data, metric, resolution, farthest, trace.cells)
@@ -335,11 +335,6 @@ def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, s
     return _Near(mean, delta, missed, load, apart)
 
 
-def _fine(metric: CellMetric, resolution: Resolution) -> Array:
-    """A load size per owned cell that makes only a small share of the error."""
-    return resolution.flux(metric) / resolution.volume ** (1 / metric.jacobian.shape[1])
-
-
 def _coefficient(
     data: Data, metric: CellMetric, resolution: Resolution, size: Array, near: AnyIndices
 ) -> _Coefficient | None:
@@ -384,7 +379,7 @@ def near_quadratics(
     if datum.number is not None:
         return constant(np.full(number, datum.number), dim), np.zeros(number), Interval(*np.zeros((2, number)))
     vertices, p, (deviation, *mean) = resolution.vertices, constant(np.zeros(number), dim), np.zeros((3, number))
-    tolerance = _fine(metric, resolution) / np.maximum(size, SMALLEST)
+    tolerance = resolution.tolerance(metric) / np.maximum(size, SMALLEST)
     for tree, cells in resolution.pieces(name, datum):
         assert isinstance(tree, TREES)
         q = interpolated(tree, vertices[cells])

@@ -138,7 +138,7 @@ class Resolution:
             factor: Of each of them.
         """
         norm, mean = seen.norm.copy(), np.stack([seen.mean, seen.mean])
-        weight = (factor / self._tolerance(metric)[cells]) ** 2 * metric.volume[cells] / self.volume
+        weight = (factor / self.tolerance(metric)[cells]) ** 2 * metric.volume[cells] / self.volume
         for tree, within in self.pieces(name, datum):
             if isinstance(tree, TREES) and is_enclosed(tree):
                 rows = np.flatnonzero(np.isin(cells, within))
@@ -161,7 +161,7 @@ class Resolution:
             metric: Metric of all owned cells.
         """
         cells, area = points.cells, points.integrals(np.ones(points.shape))
-        weight = area**2 / metric.volume[cells] / self.volume / self._tolerance(metric)[cells] ** 2
+        weight = area**2 / metric.volume[cells] / self.volume / self.tolerance(metric)[cells] ** 2
         ((tree, _),) = self.pieces(name, datum)
         assert isinstance(tree, TREES)
         norm, (lo, hi) = self._enclosed(tree, points.vertices, seen, weight)
@@ -209,7 +209,7 @@ class Resolution:
         self.load = self.load + Interval(*(np.bincount(cells, end, number) for end in (mean.lo, mean.hi)))
         self.record_missed(name, cells, squares)
         self.size = self.size + np.bincount(cells, mean.largest, number)
-        of_mean = (SHARE * self.error * mean.largest / self._tolerance(metric)[cells]) ** 2
+        of_mean = (SHARE * self.error * mean.largest / self.tolerance(metric)[cells]) ** 2
         self._loads.add(name)
         self._sizes[name] += np.bincount(cells, of_mean * metric.volume[cells] / self.volume, number)
 
@@ -249,7 +249,7 @@ class Resolution:
         """A flux size per owned cell that makes only the share SHARE of the error."""
         return SHARE * self.error * np.sqrt(np.maximum(metric.kappa_min, 0.0) / self.volume)
 
-    def _tolerance(self, metric: CellMetric) -> Array:
+    def tolerance(self, metric: CellMetric) -> Array:
         """A load size per owned cell that makes about the share SHARE of the error."""
         return np.maximum(self.flux(metric) / self.volume ** (1 / self.vertices.shape[2]), SMALLEST)
 
@@ -302,8 +302,3 @@ def _rounded_out(load: Interval, comm: MPI.Comm) -> Interval:
 def is_enclosed(tree: Tree | Rows) -> bool:
     """Whether quadrature may miss something of it: it is no polynomial, or one of a high degree."""
     return not (isinstance(tree, TREES) and is_polynomial(tree, EXACT))
-
-
-def of_all_cells(matrices: Array, number: int) -> Array:
-    """One matrix per cell; `matrices` may hold one for all cells."""
-    return np.broadcast_to(matrices, (number, *matrices.shape[1:]))

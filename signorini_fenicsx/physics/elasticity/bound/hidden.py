@@ -6,7 +6,7 @@ and ‖g − p‖_Q. With d = g − p, `expressions.enclosures` has bounds of �
 fields on the simplex. d − Π₁d is orthogonal to linear fields as what is counted is, so only ‖d‖ − ‖d‖_Q is missing
 there. Π₁d is a load that nothing balances: `body` bounds what all of them do together. If g is within ρ of a
 polynomial of degree K on the simplex S, then ‖d‖ ≤ ‖d‖_Q + 2ρ|S|^½ and ‖Π₁d‖ ≤ 2ρ|S|^½, as p has the moments by
-quadrature. Where this is too much S is cut, see `moments`.
+quadrature. Where this is too much S is cut, see `means`.
 
 *Friction.* The discrete problem has linear bounds ĝ of the shear on facets in the place of g, and |y_t| ≤ ĝ. On each
 facet let g̃ be ĝ or max(g, ĝ): y is admissible for the problem with g̃, too. Let ũ be its solution. With g̃ in the gap
@@ -40,7 +40,7 @@ from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions import Tree, is_polynomial
-from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
+from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
 from signorini_fenicsx.expressions.simplices import Parts, Quadratic, barycentric, barycentric_gradients, through
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, constant_of_facets, length_of_facets
@@ -150,7 +150,8 @@ class _Enclosures:
                 limit = self.enough / math.sqrt(len(self.datum.scalars))
                 weight = np.full(len(rows), 1 / (limit**2 * max(comm.allreduce(len(rows)), 1)))
                 nodes = lattice(vertices.shape[1], self.degree)[:, 1:] / self.degree
-                cut = moments(tree, vertices, through(vertices, nodes, near, self.degree), self.spaces.frame, weight)
+                p = through(vertices, nodes, near, self.degree)
+                cut = means(tree, vertices, p, self.spaces.frame, weight, linear=True)
                 bounds[rows, 1] += cut.norm**2
                 bounds[rows, 2] += cut.linear**2
         return np.sqrt(np.maximum(bounds, 0.0)).T
