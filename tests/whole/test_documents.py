@@ -115,19 +115,21 @@ def test_each_file_of_tests_has_its_line():
     assert lines == {f"{path.parent.name}/{path.name}": first.strip('"') for path, first in files.items()}
 
 
-def test_files_of_the_layout_exist():
-    """A name alone belongs in a row of a table to the folder named last before it; elsewhere any folder will do."""
+def test_files_and_names_of_the_layout_exist():
+    """A file alone belongs in a row of a table to the folder named last before it; elsewhere any folder will do."""
     roots = [ROOT / "signorini_fenicsx", ROOT]
     files = {path.name for root in ("signorini_fenicsx", "forms") for path in (ROOT / root).rglob("*.py")}
-    named, lost = 0, []
-    for line in (ROOT / "docs" / "code" / "layout.md").read_text(encoding="utf-8").splitlines():
+    named, lost, layout = 0, [], (ROOT / "docs" / "code" / "layout.md").read_text(encoding="utf-8")
+    for line in layout.splitlines():
         folder = ""
         for name in re.findall(r"`([\w*/]+(?:\.py|/))`", line):
             named, path = named + 1, name if "/" in name else f"{folder}{name}"
             folder = path[: path.rfind("/") + 1] if line.startswith("|") else ""
             if not (any(list(root.glob(path)) for root in roots) or ("/" not in path and name in files)):
                 lost.append(path)
-    assert lost == []
+    texts = [path.read_text("utf-8") for root in ("signorini_fenicsx", "forms") for path in (ROOT / root).rglob("*.py")]
+    words = set(re.findall(r"\w+", "".join(texts)))
+    assert lost + [name for name in re.findall(r"`(\w+)`", layout) if name not in words] == []
     assert named > 100
 
 
