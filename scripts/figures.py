@@ -16,7 +16,6 @@ import numpy as np
 import pyarrow.csv
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
@@ -89,24 +88,6 @@ def settings(runs: Sequence[Kept]) -> str:
         references = sorted({run.record.summary["reference"] for run in some if symbol})
         words += [re.sub(r"alg\d", lambda name: SLIDES[name[0]], f"against {reference}") for reference in references]
     return ", ".join(words)
-
-
-def draw_region(runs: Sequence[Kept]) -> Figure:
-    """Figure 1: a smooth domain whose boundary consists of Γ_D and Γ_S."""
-    t = np.linspace(0, 2 * np.pi, 400)
-    r = 1 + 0.12 * np.cos(2 * t + 0.4) + 0.08 * np.sin(3 * t)
-    x, y = 1.5 * r * np.cos(t), r * np.sin(t)
-    figure = Figure(figsize=(4.2, 3.2), layout="constrained")
-    axes = figure.add_subplot()
-    axes.add_patch(Polygon(np.column_stack([x, y]), closed=True, color="C0", alpha=0.12))
-    below = (t > np.pi * 1.1) & (t < np.pi * 1.9)
-    axes.plot(np.where(below, np.nan, x), np.where(below, np.nan, y), "C0", linewidth=2)
-    axes.plot(x[below], y[below], "C3", linewidth=3)
-    for text, place in {"Ω": (0, 0.1), "Γ_D": (0.1, 1.12), "Γ_S": (0.1, -1.22)}.items():
-        axes.text(*place, f"${text}$" if text[0] == "Γ" else text, fontsize=14, ha="center")
-    axes.set(aspect="equal", xlim=(-1.9, 1.9), ylim=(-1.45, 1.45))
-    axes.set_axis_off()
-    return figure
 
 
 def draw_solution(runs: Sequence[Kept]) -> Figure:
@@ -247,7 +228,6 @@ def draw_errors(runs: Sequence[Kept]) -> Figure:
 
 
 DRAWN: dict[str, Callable[[Sequence[Kept]], Figure]] = {
-    "region": draw_region,
     "solution": draw_solution,
     "traces": draw_traces,
     "penalty_traces": draw_penalty_traces,
@@ -297,11 +277,11 @@ def picture(name: str, caption: str) -> str:
 def section(name: str, shown: str, caption: str, command: str, runs: Sequence[Kept]) -> str:
     """A table or figure with its caption, its command and its time in HTML."""
     label = name.replace("table", "Table ").replace("figure", "Figure ")
-    caption += f" {settings(runs)}." if runs else ""
+    text = as_html(f"{caption} {settings(runs)}.")
     seconds = sum(run.record.seconds for run in runs)
     count = f"{len(runs)} run" + "s" * (len(runs) != 1)
     return (
-        f'<section id="{name}"><h2>{label}</h2>{shown}<p class="caption"><b>{label}.</b> {as_html(caption)}</p>'
+        f'<section id="{name}"><h2>{label}</h2>{shown}<p class="caption"><b>{label}.</b> {text}</p>'
         f"<p><code>{html.escape(command)}</code> · {count}, {seconds:.0f} s of one rank</p>"
         "</section>"
     )

@@ -2,7 +2,7 @@
 
 Usage: [mpirun -n N] python scripts/reproduce.py [--quick] [--output FOLDER] ITEM...
 
-ITEM is table1 … table6, figure1 … figure22 or all. Each is a selection of the runs of a study in `data/studies/`. Runs
+ITEM is table1 … table6, figure2 … figure22 or all. Each is a selection of the runs of a study in `data/studies/`. Runs
 that several items share, or that an earlier call has finished, are done once: the same call again only draws.
 `index.html` shows all that there is. `--quick` uses coarse meshes.
 """
@@ -15,7 +15,7 @@ import itertools
 import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import figures
@@ -48,8 +48,8 @@ class Item:
 
     draw: str
     caption: str
-    studies: Sequence[str] = ()
-    where: dict[str, object] = field(default_factory=dict)
+    studies: Sequence[str]
+    where: dict[str, object]
 
     def selects(self, run: Run) -> bool:
         """Whether a run of its studies belongs to this item."""
@@ -83,12 +83,11 @@ def items() -> dict[str, Item]:
             ["tables"],
             {"case": f"example{case}", "solve.algorithm": algorithm},
         )
-    by_name["figure1"] = Item("region", "A domain Ω with Dirichlet boundary Γ_D and Signorini boundary Γ_S.")
     for draw, caption, studies, where, numbers in FIGURES:
         for case, number in numbers.items():
             chosen = {"case": f"example{case}", **where}
             by_name[f"figure{number}"] = Item(draw, f"Example {case}: {caption}", studies, chosen)
-    names = [f"table{number}" for number in range(1, 7)] + [f"figure{number}" for number in range(1, 23)]
+    names = [f"table{number}" for number in range(1, 7)] + [f"figure{number}" for number in range(2, 23)]
     return {name: by_name[name] for name in names}
 
 
@@ -116,9 +115,8 @@ def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quic
     runs_by_item = on_root(comm, lambda: {name: runs_of(item, quick=quick) for name, item in wanted.items()})
     runs = list({run.name: run for runs in runs_by_item.values() for run in runs}.values())
     with folder, Progress(runs, folder, comm, StudyReport()) as progress:
-        if runs:
-            run_study(runs, 1, folder, comm, title="The tables and figures of the slides", on_run=progress.say)
-            check_all_succeeded(runs, folder, comm)
+        run_study(runs, 1, folder, comm, title="The tables and figures of the slides", on_run=progress.say)
+        check_all_succeeded(runs, folder, comm)
         on_root(comm, lambda: draw(wanted, folder, quick=quick))
 
 
@@ -152,7 +150,7 @@ def main() -> int:
     names = [*items(), "all"]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "items", nargs="+", metavar="ITEM", choices=names, help="table1 … table6, figure1 … figure22, all"
+        "items", nargs="+", metavar="ITEM", choices=names, help="table1 … table6, figure2 … figure22, all"
     )
     parser.add_argument("--quick", action="store_true", help="coarse meshes")
     parser.add_argument("--output", type=Path, help="default: results/reproduction, or results/reproduction-quick")

@@ -17,15 +17,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import dolfinx.mesh
 import numpy as np
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from makers import Found
-from makers.scalar import distort, random_case
+from makers.scalar import data_on, distort, random_case
 from signorini_fenicsx import Diffusion, Neumann, Signorini
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
@@ -39,15 +36,13 @@ from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
-from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
+from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
-
-CONTRAST = 1e6
 
 
 @dataclass(frozen=True)
@@ -72,60 +67,6 @@ class Row:
         return self.bound / self.difference
 
 
-class Wave:
-    """sin(k·x + a) on any mesh; numbers are constants, so that forms are compiled once for all seeds."""
-
-    def __init__(self, rng: np.random.Generator, size: float, amplitude: float = 1.0):
-        self._k, self._a, self._amplitude = rng.uniform(1, 10, 3) / size, rng.uniform(0, 6), amplitude
-
-    def on(self, mesh: dolfinx.mesh.Mesh) -> Expr:
-        """Its expression."""
-        x = ufl.SpatialCoordinate(mesh)
-        k, a, amplitude = (fem.Constant(mesh, value) for value in (self._k[: len(x)], self._a, float(self._amplitude)))
-        return amplitude * ufl.sin(ufl.dot(k, x) + a)
-
-
-def problem_of(rng: np.random.Generator, coarse: Domain, jumps: str, *, pulled: bool) -> Callable[[Domain], Problem]:
-    """Data that are the same on the coarse mesh and on its refinements (collective)."""
-    size = float(np.ptp(coarse.box(), axis=0).max())
-    amplitudes = rng.uniform(0, 1, 4) * [1, 1, 1 / size, 1 / size]
-    u_D, psi, q_S, g_N = (Wave(rng, size, amplitude) for amplitude in amplitudes)
-    f, zone, noise = (Wave(rng, size, amplitude) for amplitude in (40 / size**2, 1, 1e3))
-    general, rough = rng.random() < 0.7, rng.random() < 0.5
-    cells = fem.functionspace(coarse.mesh, ("DG", 0))
-    zones, loads = fem.Function(cells), fem.Function(cells)
-    points = cells.element.interpolation_points
-    zones.interpolate(fem.Expression(zone.on(coarse.mesh), points))
-    loads.interpolate(fem.Expression(80 / size**2 * ufl.sin(noise.on(coarse.mesh)), points))
-
-    def on(domain: Domain) -> Problem:
-        mesh = domain.mesh
-        where = in_cells(zones, coarse, domain) if jumps == "aligned" else zone.on(mesh)
-        load = in_cells(loads, coarse, domain) if rough else f.on(mesh)
-        kappa = 1.0 if jumps == "none" else ufl.conditional(ufl.gt(where, 0), CONTRAST, 1.0)
-        problem = Problem(f=load - fem.Constant(mesh, 120 / size**2 * pulled), kappa=kappa)
-        if not general:
-            return problem
-        bound = psi.on(mesh)
-        u_D_too = bound + u_D.on(mesh) ** 2
-        return replace(problem, u_D=u_D_too, psi=bound, q_S=q_S.on(mesh), g_N=g_N.on(mesh))
-
-    return on
-
-
-def in_cells(function: fem.Function, source: Domain, domain: Domain) -> fem.Function:
-    """A P0 function on a refinement of its mesh (collective)."""
-    if domain is source:
-        return function
-    mesh = domain.mesh
-    fine = fem.Function(fem.functionspace(mesh, ("DG", 0)))
-    cells = owned_cells(mesh)
-    with of_unit_size(source, mesh, source.mesh):
-        search = fem.create_interpolation_data(fine.function_space, function.function_space, cells, padding=1e-12)
-        fine.interpolate_nonmatching(function, cells, search)
-    return fine
-
-
 def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Domain, Callable[[Domain], Problem]]:
     """A case, its mesh, the mesh refined twice, and the data on both (collective)."""
     rng = np.random.default_rng(seed)
@@ -141,7 +82,7 @@ def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Do
     fine = coarse
     for _ in range(2):
         fine = refine(fine, owned_cells(fine.mesh))
-    return case, coarse, fine, problem_of(rng, coarse, jumps, pulled=pulled)
+    return case, coarse, fine, data_on(rng, coarse, jumps, pulled=pulled)
 
 
 def _options(case: Case, element: str) -> Options:

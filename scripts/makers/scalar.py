@@ -9,15 +9,17 @@ programme; where that fails, as where κ jumps on bad cells, it is the other alg
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 from mpi4py import MPI
+from ufl.core.expr import Expr
 
 from makers import Found
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
@@ -29,14 +31,13 @@ from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.contact.laws import Corners, Friction, Obstacle, Reaction, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.sampling import of_unit_size
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
-
-type Array = npt.NDArray[np.float64]
 
 AGREE = 1e-7
 """Largest relative difference of p and σ by rounding."""
@@ -75,18 +76,6 @@ class Result:
         return Found(words, counts, numbers if np.isfinite(self.kkt) else {}, wrong, shown="failed" in counts)
 
 
-@dataclass(frozen=True)
-class Wave:
-    """sin(k·x + a)."""
-
-    k: Array
-    a: float
-
-    def __call__(self, x: Array) -> Array:
-        """Its values in points of shape (3, n)."""
-        return np.sin(self.k @ x + self.a)
-
-
 type Drawn = tuple[Domain, Problem, Options, str]
 """A mesh, the problem, how it is solved, and a description."""
 
@@ -106,16 +95,14 @@ def random_problem(seed: int, *, several: bool = False, inside: bool = False) ->
         laws = [random_law(rng, part, size) for part in with_law]
         domain = halved(domain) if inside else domain
         laws += random_laws_inside(rng, size) if inside else []
-    rough = rng.random() < 0.5
-    problem = replace(random_data(rng, domain, contrast, rough=rough), boundary=Boundary(signorini, neumann))
+    problem = replace(data_on(rng, domain, "aligned", contrast)(domain), boundary=Boundary(signorini, neumann))
     if several:
         problem = replace(problem, psi=0.0, q_S=0.0, laws=laws)
         algorithm = str(rng.choice(["alg1", "alg2"]))
         options = Options(algorithm=algorithm, backend=options.backend, max_iterations=200)
     words = [case.geometry.shape or "", case.geometry.mesh, "bad cells" if bad else "", f"Γ_N {neumann}"]
     words += [f"Γ_S {signorini}"] if signorini else [f"{law.name} on {(law.parts or law.region)[0]}" for law in laws]
-    words += [f"κ 1 to {contrast:.0e}", "rough f" if rough else "smooth f"]
-    words += [options.algorithm_name, options.backend_name]
+    words += [f"κ 1 to {contrast:.0e}", options.algorithm_name, options.backend_name]
     return domain, problem, options, ", ".join(word for word in words if word)
 
 
@@ -152,29 +139,60 @@ def distort(rng: np.random.Generator, domain: Domain) -> bool:
     return bad
 
 
-def random_data(rng: np.random.Generator, domain: Domain, contrast: float, *, rough: bool) -> Problem:
-    """Data of order 1 on a mesh of any size: κ jumps between 1 and its contrast, f is a wave or noise."""
-    size = float(np.ptp(domain.mesh.geometry.x, axis=0).max())
+class Wave:
+    """sin(k·x + a) on any mesh; numbers are constants, so that forms are compiled once for all seeds."""
 
-    def wave() -> Wave:
-        return Wave(rng.uniform(1, 10, 3) / size, rng.uniform(0, 6))
+    def __init__(self, rng: np.random.Generator, size: float, amplitude: float = 1.0):
+        self._k, self._a, self._amplitude = rng.uniform(1, 10, 3) / size, rng.uniform(0, 6), amplitude
 
-    P0 = fem.functionspace(domain.mesh, ("DG", 0))
-    f, kappa = fem.Function(P0), fem.Function(P0)
-    centroids = P0.tabulate_dof_coordinates().T
-    f.x.array[:] = 40 / size**2 * (rng.standard_normal(len(f.x.array)) if rough else wave()(centroids))
-    kappa.x.array[:] = np.where(wave()(centroids) > 0, contrast, 1.0)
-    general = rng.random() < 0.5
-    u_D, g_N, psi, q_S = (rng.uniform(-1, 1) * general for _ in range(4))
-    u_wave, g_wave, psi_wave, q_wave = (wave() for _ in range(4))
-    return Problem(
-        f=f,
-        kappa=kappa,
-        u_D=lambda x: u_D * u_wave(x),
-        g_N=lambda x: g_N / size * g_wave(x),
-        psi=lambda x: psi * psi_wave(x),
-        q_S=lambda x: q_S / size * q_wave(x),
-    )
+    def on(self, mesh: dolfinx.mesh.Mesh) -> Expr:
+        """Its expression."""
+        x = ufl.SpatialCoordinate(mesh)
+        k, a, amplitude = (fem.Constant(mesh, value) for value in (self._k[: len(x)], self._a, float(self._amplitude)))
+        return amplitude * ufl.sin(ufl.dot(k, x) + a)
+
+
+def data_on(
+    rng: np.random.Generator, coarse: Domain, jumps: str, contrast: float = 1e6, *, pulled: bool = False
+) -> Callable[[Domain], Problem]:
+    """Data that are the same on the coarse mesh and on its refinements (collective)."""
+    size = float(np.ptp(coarse.box(), axis=0).max())
+    amplitudes = rng.uniform(0, 1, 4) * [1, 1, 1 / size, 1 / size]
+    u_D, psi, q_S, g_N = (Wave(rng, size, amplitude) for amplitude in amplitudes)
+    f, zone, noise = (Wave(rng, size, amplitude) for amplitude in (40 / size**2, 1, 1e3))
+    general, rough = rng.random() < 0.7, rng.random() < 0.5
+    cells = fem.functionspace(coarse.mesh, ("DG", 0))
+    zones, loads = fem.Function(cells), fem.Function(cells)
+    points = cells.element.interpolation_points
+    zones.interpolate(fem.Expression(zone.on(coarse.mesh), points))
+    loads.interpolate(fem.Expression(80 / size**2 * ufl.sin(noise.on(coarse.mesh)), points))
+
+    def on(domain: Domain) -> Problem:
+        mesh = domain.mesh
+        where = in_cells(zones, coarse, domain) if jumps == "aligned" else zone.on(mesh)
+        load = in_cells(loads, coarse, domain) if rough else f.on(mesh)
+        kappa = 1.0 if jumps == "none" else ufl.conditional(ufl.gt(where, 0), fem.Constant(mesh, contrast), 1.0)
+        problem = Problem(f=load - fem.Constant(mesh, 120 / size**2 * pulled), kappa=kappa)
+        if not general:
+            return problem
+        bound = psi.on(mesh)
+        u_D_too = bound + u_D.on(mesh) ** 2
+        return replace(problem, u_D=u_D_too, psi=bound, q_S=q_S.on(mesh), g_N=g_N.on(mesh))
+
+    return on
+
+
+def in_cells(function: fem.Function, source: Domain, domain: Domain) -> fem.Function:
+    """A P0 function on a refinement of its mesh (collective)."""
+    if domain is source:
+        return function
+    mesh = domain.mesh
+    fine = fem.Function(fem.functionspace(mesh, ("DG", 0)))
+    cells = owned_cells(mesh)
+    with of_unit_size(source, mesh, source.mesh):
+        search = fem.create_interpolation_data(fine.function_space, function.function_space, cells, padding=1e-12)
+        fine.interpolate_nonmatching(function, cells, search)
+    return fine
 
 
 def examine(seed: int, *, several: bool = False, inside: bool = False) -> Result:
