@@ -147,9 +147,9 @@ def test_bodies_that_touch():
     [
         ("0.1*sin(9*x)^2", ["0.05", "-0.1"], 2.5),  # was 28
         ("0.1 if x < 0.45 else 0.01", ["0.05", "-0.1"], 2.4),  # was 24
-        ("0.1*exp(-30*(x - 0.5)^2)", ["0.3*x", "-0.1"], 1.4),  # was 14
+        pytest.param("0.1*exp(-30*(x - 0.5)^2)", ["0.3*x", "-0.1"], 1.4, marks=pytest.mark.slow),  # was 14
         ("0.3*sqrt(abs(x - 0.33)) + 0.001", ["-0.02 - 0.02*x", "-0.04 - 0.08*x"], 2.4),
-        ("0.3*x^6", ["0.3*x", "-0.1"], 1.25),  # was 9
+        pytest.param("0.3*x^6", ["0.3*x", "-0.1"], 1.25, marks=pytest.mark.slow),  # was 9
     ],
     ids=["waves", "jump", "bell", "cusp", "power"],
 )

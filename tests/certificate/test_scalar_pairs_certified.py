@@ -79,7 +79,7 @@ def posed(law: Any, dim: int = 2, **more: Any) -> Diffusion:
         *((name, 2, 0.0, 1.4) for name in LAWS if name not in ("wall", "between")),
         ("tied", 2, 0.17, 1.7),
         ("friction", 2, 0.17, 1.5),
-        ("tied", 3, 0.0, 1.7),
+        pytest.param("tied", 3, 0.0, 1.7, marks=pytest.mark.slow),
         ("contact", 3, 0.17, 2.0),
     ],
 )

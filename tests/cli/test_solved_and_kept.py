@@ -22,6 +22,7 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output import curves, evolution, writing
 from signorini_fenicsx.physics.diffusion.bound import certify as bound
 from signorini_fenicsx.pictures import drawing
+from signorini_fenicsx.pictures.style import STYLE
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.studies import picture
 
@@ -33,6 +34,12 @@ TABLES = {"checkpoint", "facets.csv", "files.json", "history.csv"}
 BROKEN = "ValueError: it is broken"
 
 type Breaking = Callable[..., Ended]
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save time where pictures are not looked at."""
+    monkeypatch.setitem(STYLE, "figure.dpi", 30)
 
 
 @pytest.fixture

@@ -41,18 +41,15 @@ from signorini_fenicsx.solving.evolving import Instant
 COMM = MPI.COMM_WORLD
 
 
-def block(comm: MPI.Comm, friction: str) -> Controlled:
+def block(comm: MPI.Comm, *, friction: bool) -> Controlled:
     """A block pressed and pushed onto a curved foundation."""
     domain = build_domain(comm, "square", 0.36, mesh="structured")
     x = ufl.SpatialCoordinate(domain.mesh)
     E, nu, gap, push, force, traction, bound = given = constants(domain, 1.5, 0.3, 0.02, 0.3, -0.1, 0.2, 0.12)
     stiffness = function(domain, lambda x: 1 + 0.3 * x[0])
-    laws: dict[str, Any] = {
-        "tresca": Tresca(bound * (1 + x[0])),
-        "coulomb": Coulomb(2 * bound * (1 + x[0]), 0.01 * bound),
-    }
+    law = Coulomb(2 * bound * (1 + x[0]), 0.01 * bound) if friction else None
     conditions = [
-        Contact("bottom", gap=gap * (1 + 60 * (x[0] - 0.5) ** 2), friction=laws.get(friction)),
+        Contact("bottom", gap=gap * (1 + 60 * (x[0] - 0.5) ** 2), friction=law),
         Dirichlet("top", [push * x[0], -push * (1 + 0.2 * x[0])]),
         Neumann("left", [0.1 * traction, 0]) if friction else Dirichlet("left", [0.1 * push * x[1], 0], components="n"),
         Neumann("right", [traction * x[1] ** 3, -0.3 * traction]),
@@ -112,13 +109,12 @@ def on_laws(comm: MPI.Comm, law: str) -> Controlled:
     return Controlled(domain, posed, [E, gap, push, *given, level])
 
 
-def in_space(comm: MPI.Comm, friction: str) -> Controlled:
+def in_space(comm: MPI.Comm, *, friction: bool) -> Controlled:
     """A cube that is pressed and turned on a foundation, or pressed and torn on springs."""
     domain = build_domain(comm, "cube", 0.9, mesh="structured")
     x = ufl.SpatialCoordinate(domain.mesh)
     E, nu, bound, push = given = constants(domain, 1.5, 0.3, 0.02, 0.1)
-    law: Any = Tresca(bound * (1 + x[0])) if friction == "tresca" else Coulomb(10 * bound * (1 + x[0]))
-    touching = Contact("bottom", gap=0.1 * bound * (1 + x[0] ** 2), friction=law)
+    touching = Contact("bottom", gap=0.1 * bound * (1 + x[0] ** 2), friction=Coulomb(10 * bound * (1 + x[0])))
     springs = Wall("bottom", beta=100 * bound, level=bound * (1 + x[1]))
     conditions = [
         touching if friction else springs,
@@ -152,12 +148,12 @@ def functional(given: Controlled, solution: Any) -> Any:
 
 
 PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
-    "tresca": lambda comm: block(comm, "tresca"),
-    "coulomb": lambda comm: block(comm, "coulomb"),
+    "none": partial(block, friction=False),
+    "coulomb": partial(block, friction=True),
     "material": material,
     **{law: partial(on_laws, law=law) for law in ("wall", "joint", "regulator", "layer")},
-    "wall in space": lambda comm: in_space(comm, ""),
-    "coulomb in space": lambda comm: in_space(comm, "coulomb"),
+    "wall in space": partial(in_space, friction=False),
+    "coulomb in space": partial(in_space, friction=True),
     **{f"pair, {law}": partial(of_pair, law=law) for law in ("coulomb", "tied")},
     "pair in space": partial(of_pair, law="tresca", dim=3),
 }
@@ -213,7 +209,7 @@ def test_ranks(name: str):
 def test_an_adjoint_that_is_not_found(monkeypatch: pytest.MonkeyPatch):
     """With Coulomb's law the adjoint is found by GMRES; where that does not end there is no gradient."""
     monkeypatch.setattr("signorini_fenicsx.physics.elasticity.derivative.linearised.gmres", partial(gmres, most=1))
-    given = block(COMM, "coulomb")
+    given = block(COMM, friction=True)
     solution = solve(given.domain, given.problem)
     with pytest.raises(NumericalFailure, match="GMRES has not found it after 1 step"):
         solution.gradient(functional(given, solution), given.controls)

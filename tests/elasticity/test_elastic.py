@@ -66,7 +66,7 @@ def test_smooth_solution_has_full_order(dim: int, nu: float):
     assert orders["u_L2"] > 1.8
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.4999])
+@pytest.mark.parametrize("nu", [0.3, pytest.param(0.4999, marks=pytest.mark.slow)])
 def test_contact_with_a_singular_solution(nu: float):
     """σ ~ r^½ at the end of the contact set: order 3/2, few updates, the set within a cell, a bound near the error."""
     errors, u = [], half_plane_contact(nu)

@@ -282,8 +282,9 @@ def test_foundation_of_a_body():
 
 @pytest.mark.parallel([1])
 @pytest.mark.filterwarnings("error:Data has no positive values")
-def test_without_any_load(tmp_path: Path):
+def test_without_any_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """u, σ and the error are 0, and so have no logarithm and no streamlines."""
+    monkeypatch.setitem(style.STYLE, "figure.dpi", 30)
     case = load_case("example1").with_values({"problem.f": 0, "solve.h": 0.5})
     rows: list[AdaptRow] = []
     solution, certificate = adapt_case(case, max_cells=200, on_row=rows.append)

@@ -112,7 +112,7 @@ def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool | None, fai
     """After a kill the next call finds the old or the new result complete, all files of the user, and nothing else."""
     mine = dict.fromkeys(MINE, "mine") if there else {}
     ends = set()
-    for step in range(0, 1000, 1 if there and not failed else 5):  # all ways move their files alike
+    for step in range(0, 1000, 2 if there and not failed else 5):  # all ways move their files alike
         target = tmp_path / str(step)
         place = target.with_name(f"{step}.failed") if failed else target
         if there:

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Coulomb, Diffusion, Elasticity, Neumann, Signorini, domain_of, solve
 from signorini_fenicsx.pictures.sheet import LINES, Sheet
-from signorini_fenicsx.pictures.style import readable
+from signorini_fenicsx.pictures.style import STYLE, readable
 from signorini_fenicsx.studies.picture import draw_study
 
 UNREADABLE = (r"$\bm{\sigma}$", "in_$flow_$", "$$", "$x_$ of 接触", "\x1b[31m", "a\ud800b", "$" + 300 * "{" + "$")
@@ -52,8 +52,9 @@ def test_any_text_can_be_drawn(tmp_path: Path, caplog: pytest.LogCaptureFixture)
     assert draw_study(tmp_path / "b.png", rows, ["name"], UNREADABLE[0])
 
 
-def test_names_of_parts_and_titles(tmp_path: Path):
+def test_names_of_parts_and_titles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """All pictures of both physics, and the page."""
+    monkeypatch.setitem(STYLE, "figure.dpi", 30)
     mesh = create_rectangle(MPI.COMM_SELF, [[0, 0], [1, 1]], [2, 2], CellType.triangle)
     down, up = UNREADABLE[1], UNREADABLE[0]
     domain = domain_of(mesh, {down: lambda x: np.isclose(x[1], 0), up: lambda x: np.isclose(x[1], 1)})

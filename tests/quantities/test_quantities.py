@@ -59,7 +59,7 @@ def exact_mean(text: str, low: float = 0.0) -> float:
 def test_known_means(name: str):
     """The mean of a known u is inside, and the interval shrinks faster than h."""
     widths = []
-    for h in (1 / 8, 1 / 16):
+    for h in (1 / 4, 1 / 8):
         solution = solve_case(load_case(name).with_values({"solve.h": h, "geometry.mesh": "structured"}))
         found = solution.quantity(Mean())
         assert found.guaranteed, found.reason
@@ -104,7 +104,7 @@ def test_design_order():
         solve(build_domain(COMM, "square", 1.001 * 2**0.5 / n, mesh="structured"), problem).quantity(
             Integral(weight=LEFT)
         )
-        for n in (16, 32)
+        for n in (8, 16)
     ]
     known = -0.06277005058785651
     assert all(each.guaranteed and each.lower < known < each.upper for each in found)
@@ -190,9 +190,10 @@ def test_energies_of_laws(conditions: list, known: float):
     assert found.width < 1e-2
 
 
-def test_inside_the_domain():
+def test_inside_the_domain(monkeypatch: pytest.MonkeyPatch):
     """The flux across a crack, with a ramp, and the integral of the jump, of a known solution."""
-    solution = solve_case(load_case("crack").with_values({"solve.h": 1 / 4}))
+    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 4)  # each takes long, as u_D has a root
+    solution = solve_case(load_case("crack").with_values({"solve.h": 0.4}))
     through, jump = solution.quantity(Flux("slit", weight="x^2*(1 + x)^2")), solution.quantity(Integral(parts="slit"))
     assert through.guaranteed, through.reason  # the weight is no quadratic, up to the tip
     assert through.lower <= 1.5 * (0.5**5.5 / 5.5 - 0.5**4.5 / 3.5 + 0.5**1.5 / 24) <= through.upper
@@ -289,20 +290,12 @@ def test_half_gap():
     assert np.all(found <= gap(law, v, eta) + 1e-12)
 
 
-@pytest.mark.parametrize(
-    "problem",
-    [
-        Diffusion(f=-1, conditions=[Signorini("bottom", psi=-0.1)]),
-        Elasticity(1.0, 0.3, f=[0, -1], conditions=[Contact("bottom"), Neumann(["left", "right"])]),
-    ],
-    ids=["diffusion", "elasticity"],
-)
-def test_weights_without_an_integral(problem: Diffusion | Elasticity):
-    """There is no mean with a weight whose integral is 0 but for rounding, in any physics."""
-    solution = solve(build_domain(COMM, "square", 1 / 2, mesh="unstructured"), problem)
-    direction = [0, 1] if isinstance(problem, Elasticity) else None
+def test_weights_without_an_integral():
+    """There is no mean with a weight whose integral is 0 but for rounding, here of a body."""
+    body = Elasticity(1.0, 0.3, f=[0, -1], conditions=[Contact("bottom"), Neumann(["left", "right"])])
+    solution = solve(build_domain(COMM, "square", 1 / 2, mesh="unstructured"), body)
     with pytest.raises(InputError, match="its integral is 0"):
-        solution.quantity(Mean(weight="sin(2*pi*x)*exp(y)", direction=direction))
+        solution.quantity(Mean(weight="sin(2*pi*x)*exp(y)", direction=[0, 1]))
 
 
 @pytest.mark.parametrize(
@@ -377,8 +370,9 @@ parts = "left"
 """
 
 
-def test_case_file(folder: Path):
+def test_case_file(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """`solve` computes what [[quantity]] asks for; what is no quantity is refused before anything runs."""
+    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 8)  # the inflow is known but for rounding
     (folder / "case.toml").write_text(CASE, encoding="utf-8")
     printed = signorini(folder, "solve", "case.toml", "--output", "found").stdout
     assert "left half" in printed

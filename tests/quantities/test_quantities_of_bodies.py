@@ -139,23 +139,23 @@ def test_a_load_that_would_lift_the_body():
 
 
 @pytest.mark.parametrize(
-    ("friction", "kind", "words"),
+    ("kind", "words"),
     [
-        (None, Force("left", [0, 1]), "the traction on the part 'left' is given"),
-        (None, Force("nowhere", [0, 1]), "unknown part 'nowhere'"),
-        (None, Force("top"), "direction: needs 2 numbers"),
-        (None, Mean(direction=[1]), "direction: needs 2 numbers"),
-        (None, Mean(direction=[1, 0], parts="top"), "in contact or loaded; on 'top' u is given"),
-        (None, Mean(direction=[1, 0], region="rock"), "unknown region 'rock'"),
-        (None, Mean(direction=[1, 0], weight=lambda x: x[0]), "weight: must be a number or a text"),
-        (None, Flux("top"), "elastic contact has Integral, Mean, Force, Moment and Energy"),
+        (Force("left", [0, 1]), "the traction on the part 'left' is given"),
+        (Force("nowhere", [0, 1]), "unknown part 'nowhere'"),
+        (Force("top"), "direction: needs 2 numbers"),
+        (Mean(direction=[1]), "direction: needs 2 numbers"),
+        (Mean(direction=[1, 0], parts="top"), "in contact or loaded; on 'top' u is given"),
+        (Mean(direction=[1, 0], region="rock"), "unknown region 'rock'"),
+        (Mean(direction=[1, 0], weight=lambda x: x[0]), "weight: must be a number or a text"),
+        (Flux("top"), "elastic contact has Integral, Mean, Force, Moment and Energy"),
     ],
 )
-def test_refused_of_bodies(friction: Coulomb | None, kind: Kind, words: str):
+def test_refused_of_bodies(kind: Kind, words: str):
     """Quantities that elastic contact has not are refused in a sentence."""
     domain = build_domain(COMM, "square", 1 / 2, mesh="structured")
     with pytest.raises(InputError, match=words):
-        check_quantities(domain, pressed(friction).on(domain), [kind])
+        check_quantities(domain, pressed(None).on(domain), [kind])
 
 
 @pytest.mark.parallel(2)

@@ -167,7 +167,9 @@ def shaken(discrete: Discrete, size: float, seed: int) -> Discrete:
     return dataclasses.replace(discrete, fluxes=discrete.fluxes + size * h ** (discrete.dim - 1) * flux, v=v)
 
 
-@pytest.mark.parametrize(("name", "h"), [("transition", 1 / 4), ("biactive", 1 / 4)])
+@pytest.mark.parametrize(
+    ("name", "h"), [("transition", 1 / 4), pytest.param("biactive", 1 / 4, marks=pytest.mark.slow)]
+)
 def test_any_flux_and_trace(name: str, h: float):
     """The bound is above the exact error: sharp for the solution, and true for any other fields."""
     case = load_case(name).with_values({"solve.h": h})

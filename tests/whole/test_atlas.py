@@ -56,7 +56,7 @@ SOLVED = [
     pytest.param("muskat", "0.6", marks=pytest.mark.slow),
     ("hillslope", "2"),
     ("membrane_steady", "1/4"),
-    ("plate_tresca", "0.02"),
+    pytest.param("plate_tresca", "0.02", marks=pytest.mark.slow),
     ("bar", "1"),
 ]
 
