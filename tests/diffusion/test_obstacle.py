@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ufl
 from commands import signorini
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
+from exact import energy_error
 from mpi4py import MPI
 
 from signorini_fenicsx import (
@@ -82,16 +82,6 @@ def test_exact_solution_with_reaction_and_neumann():
         certificate, gradient = certify(solution), energy_error(solution)
         assert certificate.guaranteed
         assert 1 <= certificate.sigma_bound / gradient <= 1.15
-
-
-def energy_error(solution: Solution) -> float:
-    """‖κ^-½(σ − σ_h)‖ for κ = 1 + x and the exact u above."""
-    x = ufl.SpatialCoordinate(solution.spaces.mesh)
-    past = ufl.max_value(x[0] - 0.4, 0)
-    sigma = (1 + x[0]) * ufl.as_vector([2 * past - 1, x[1]])
-    difference = solution.sigma - sigma
-    dx = ufl.dx(metadata={"quadrature_degree": 8})
-    return solution.spaces.integrate(ufl.inner(difference, difference) / (1 + x[0]) * dx) ** 0.5
 
 
 @pytest.mark.parametrize(("element", "most"), [("RT0", 1.02), ("RT1", 7.0)])
