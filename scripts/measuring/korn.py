@@ -139,8 +139,8 @@ def _eliminated(cells: Cells) -> tuple[Array, Eliminated]:
     masses = share * np.kron(hats, np.eye(dim * (dim + 1) // 2))
     masses = np.broadcast_to(masses, (len(masses), dim + 1, *masses.shape[2:]))
     products = compliance_product(cells.stresses(element.stresses), masses)
-    none, numbers = np.zeros((len(masses), dim * (dim + 1))), np.arange(len(masses), dtype=np.int32)
-    return products, eliminate(numbers, cells, cells.tractions(element.tractions), products, none)
+    none = np.zeros((len(masses), dim * (dim + 1)))
+    return products, eliminate(cells, cells.tractions(element.tractions), products, none)
 
 
 def _system_of_traces(

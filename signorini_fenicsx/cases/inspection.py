@@ -14,7 +14,7 @@ from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.quantities import AT_ONCE
-from signorini_fenicsx.cases.solving import check_quantities_of, options_of
+from signorini_fenicsx.cases.solving import options_of, posed_on
 from signorini_fenicsx.discrete.cell_shapes import corners, hat_gradients
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.pair_overviews import overviews
@@ -165,9 +165,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     with doing("mesh"):
         domain = mesh_case(case, comm)
     with doing("assembly"):
-        dim = domain.mesh.geometry.dim
-        posed = case.posed(dim)
-        check_quantities_of(case, domain, case.at_step(posed, 1, dim))
+        posed = posed_on(case, domain)
         system = system_on(domain, posed)
         spaces, contact = system.spaces, next(iter(system.boundary.named))
         if case.time is None:

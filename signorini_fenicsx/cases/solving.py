@@ -64,8 +64,7 @@ def solve_case(
     present = place.spaces.domain if isinstance(place, Solver) else place
     remesh = None if domain is not None else coarser_domains(present, partial(_remade, case, present))
     with watch.phase("assembly"), naming(case.name):
-        posed = case.posed(present.mesh.geometry.dim)
-        check_quantities_of(case, present, posed)
+        posed = posed_on(case, present)
     solved = place.solve if isinstance(place, Solver) else partial(solve, place)
     about: dict[str, Any] = {"name": case.name, "title": case.title, "source": case}
     with naming(case.name):
@@ -85,16 +84,22 @@ def _remade(case: CaseFile, present: Domain, factor: float) -> Domain:
     return mesh_case(case.with_values({"solve.h": factor * h}), present.mesh.comm)
 
 
-def check_quantities_of(case: CaseFile, domain: Domain, posed: Any) -> None:
-    """Refuse what cannot be measured in the problem of a case, before it is solved (collective).
+def posed_on(case: CaseFile, domain: Domain) -> Any:
+    """The problem of a case, in time with t in it, and what is to be measured in it is refused where it cannot be.
+
+    Collective.
 
     Raises:
-        InputError: If something is no quantity, or a probe or section is outside the domain.
+        InputError: If an expression cannot be read, something is no quantity, or a probe is outside the domain.
     """
+    dim = domain.mesh.geometry.dim
+    posed = case.posed(dim)
+    first = case.at_step(posed, 1, dim)
     check_places(domain, case.probe, case.section)
     for each in case.quantity:
         with telling(f"[[quantity]] {each.name}"):
-            check_quantities(domain, posed, [each.made()])
+            check_quantities(domain, first, [each.made()])
+    return posed
 
 
 def check_named(case: CaseFile, name: str | None) -> None:
@@ -145,9 +150,7 @@ def evolve_case(
         raise InputError(f"{case.name}: has no [time]")
     with naming(case.name):
         place = domain or mesh_case(case, comm)
-        dim = place.mesh.geometry.dim
-        posed = case.posed(dim)
-        check_quantities_of(case, place, case.at_step(posed, 1, dim))
+        posed = posed_on(case, place)
     return evolve(
         place,
         posed,

@@ -222,15 +222,27 @@ class DataBackend(PlainBackend):
 
     Attributes:
         data: The present data.
+        spaces: The discrete spaces, which have the places of the sites.
     """
 
     data: Any
+    spaces: Any
+    _solver: Any
 
     @property
     def chains(self) -> Chains:
         """The law of each site."""
         chains: Chains = self.data.chains
         return chains
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return str(self._solver.name())
+
+    def places(self) -> Array:
+        """The places of the sites, see `Backend.places`."""
+        places: Array = self.spaces.places
+        return places
 
 
 @runtime_checkable

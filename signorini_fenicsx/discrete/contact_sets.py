@@ -1,6 +1,5 @@
 """Sets of facets of Γ_S, on meshes that need not match: how much they overlap and how far they are apart."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -249,10 +248,9 @@ def by_part(spaces: MeshSpaces, laws: Iterable[Any], segment: Indices) -> dict[s
         segment: The segment that each facet of Γ_S, or each vertex of these, is on.
     """
     states, (kind, *_) = {}, spaces.site_kinds
-    part_of_site = np.repeat(spaces.part_of_facet, math.prod(kind.shape))
     for law in (each.law for each in laws):
         for part in law.parts:
-            on = part_of_site == spaces.part_names.index(part)
+            on = kind.numbers(spaces.rows_on(part))
             states[part] = by_state(
                 spaces.mesh.comm, law.segments, law.named(segment[on]), kind.measure[on], kind.called
             )

@@ -175,10 +175,7 @@ class _ByRegion(Datum):
     """
 
     parts: list[tuple[Mask, Datum]]
-
-    @property
-    def number(self) -> None:
-        """None: it is not one number."""
+    number = None
 
     @property
     def polynomial(self) -> int | None:
@@ -213,6 +210,7 @@ class _OnParts(Datum):
     """
 
     parts: list[tuple[npt.NDArray[np.int32], Datum]]
+    number = None
 
     @property
     def degree(self) -> int:
@@ -223,10 +221,6 @@ class _OnParts(Datum):
     def polynomial(self) -> int | None:
         """The largest degree on a part, or None."""
         return largest_degree(datum for _, datum in self.parts)
-
-    @property
-    def number(self) -> None:
-        """None: it is not one number."""
 
     def _look(self, points: Points, *, slope: bool) -> Array:
         assert isinstance(points, FacetPoints)
@@ -256,19 +250,8 @@ class OnFacets(Datum):
 
     facets: npt.NDArray[np.int32]
     numbers: Array
-
-    @property
-    def number(self) -> None:
-        """None: it is not one number."""
-
-    @property
-    def polynomial(self) -> int:
-        """0, on each facet."""
-        return 0
-
-    @property
-    def pieces(self) -> None:
-        """None: it was given as no text."""
+    number = pieces = None
+    polynomial = 0
 
     def _look(self, points: Points, *, slope: bool) -> Array:
         assert isinstance(points, FacetPoints)

@@ -106,8 +106,7 @@ class Eliminated:
         u_of_f: Those without x, shape (cells, m).
     """
 
-    cells: npt.NDArray[np.int32]
-    geometry: Any
+    cells: Any
     matrix: Array
     load: Array
     flux: Array
@@ -121,8 +120,7 @@ class Eliminated:
 
 
 def eliminate(
-    cells: npt.NDArray[np.int32],
-    geometry: Any,
+    cells: Any,
     tractions: Array,
     product: Array,
     balance: Array,
@@ -145,8 +143,8 @@ def eliminate(
     """
     if reaction is not None:
         none = np.zeros(balance.shape)
-        held = held or (none > 0, none)
-        return _with_reaction(cells, geometry, tractions, product, balance, functional, reaction, *held)
+        without = eliminate(cells, tractions, product, none, functional)
+        return _with_reaction(without, product, balance, reaction, *(held or (none > 0, none)))
     functional = np.broadcast_to(functional, product.shape[:2])
     free = product.shape[1] - balance.shape[1]
     of_free, of_rest = tractions[:, :, :free], tractions[:, :, free:]
@@ -160,7 +158,6 @@ def eliminate(
     u_of_f -= np.einsum("nml,nl->nm", product[:, free:, free:], balance)
     return Eliminated(
         cells=cells,
-        geometry=geometry,
         matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
         load=-np.einsum("nib,nb->ni", of_free, flux_of_f) - np.einsum("nib,nb->ni", of_rest, balance),
         flux=flux,
@@ -183,18 +180,11 @@ def responses(product: Array, number: int) -> tuple[Array, Array]:
 
 
 def _with_reaction(
-    cells: npt.NDArray[np.int32],
-    geometry: Any,
-    tractions: Array,
-    product: Array,
-    balance: Array,
-    functional: Array | float,
-    reaction: Array,
-    held: Mask,
-    values: Array,
+    without: Eliminated, product: Array, balance: Array, reaction: Array, held: Mask, values: Array
 ) -> Eliminated:
-    """`eliminate` with −(∇·σ, v) + (cu, v) = (f, v): the coefficients that ∇·σ gives depend on u.
+    """`eliminate` with −(∇·σ, v) + (cu, v) = (f, v), from the same without f and c.
 
+    The coefficients that ∇·σ gives depend on u.
     Without c they are b, and u = u_x x + u_0 − Sb with S from the fluxes that b brings. With c they are b + Cu, so that
     u = (I + SC)⁻¹ (u_x x + u_0 − Sb), and they are (I + CS)⁻¹ (b + C(u_x x + u_0)): where S is large b + Cu would lose
     digits. Where u is held they take the place of u among the unknowns z, with I for C.
@@ -202,7 +192,6 @@ def _with_reaction(
     free_u, right = ~held, np.where(held, 0.0, balance + np.einsum("nml,nl->nm", reaction, values))
     reaction = np.where(free_u[:, :, None] & free_u[:, None], reaction, held[:, :, None] * np.eye(held.shape[1]))
     units, (by_unit, compliance) = np.eye(balance.shape[1]), responses(product, balance.shape[1])
-    without = eliminate(cells, geometry, tractions, product, np.zeros_like(balance), functional)
     of_flux = np.concatenate([by_unit, np.broadcast_to(units, (len(balance), *units.shape))], axis=1)
     moved = np.linalg.inv(free_u[:, :, None] * units + compliance @ reaction)
     z, off = moved @ without.u, without.u_of_f - values
@@ -210,9 +199,8 @@ def _with_reaction(
     given = np.einsum("nlm,nl->nm", moved, right + np.einsum("nml,nl->nm", reaction, off))
     by_x = moved.transpose(0, 2, 1) @ reaction @ without.u
     matrix = without.matrix + without.u.transpose(0, 2, 1) @ by_x
-    return Eliminated(
-        cells=cells,
-        geometry=geometry,
+    return replace(
+        without,
         matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
         load=without.load - np.einsum("nmi,nm->ni", without.u, given),
         flux=np.pad(without.flux, ((0, 0), (0, units.shape[0]), (0, 0))) + of_flux @ by_x,
@@ -288,6 +276,12 @@ class HybridSystem(TraceSystem):
     """
 
     tractions: Array
+    _data: Any
+
+    @property
+    def lift(self) -> Array:
+        """See `TraceSystem.lift`."""
+        return np.asarray(self._data.lift)
 
     def _assembled(self) -> PETSc.Mat:
         """Eliminate, and assemble the matrix (collective)."""
@@ -304,7 +298,7 @@ class HybridSystem(TraceSystem):
         """The matrices of the cells, block by block, of which the rest is kept (collective)."""
         for block in self.eliminated():
             self._blocks.append(block.kept())
-            yield self._dofs[block.cells], block.matrix
+            yield self._dofs[block.cells.numbers], block.matrix
 
     @abstractmethod
     def eliminated(self, *loads: Any) -> Iterator[Eliminated]:
@@ -327,7 +321,7 @@ class HybridSystem(TraceSystem):
         """The right side for x − lift, without given fluxes: owned entries (collective)."""
         of_cells = np.zeros((len(self._dofs), self._dofs.shape[1] * self._size))
         for block in blocks:
-            of_cells[block.cells] = block.load
+            of_cells[block.cells.numbers] = block.load
         forces = self.gathered(of_cells)
         return forces if lift is None else forces - image_of(self.matrix, lift[: len(forces)])
 
@@ -345,7 +339,7 @@ class HybridSystem(TraceSystem):
 
         def parts() -> Iterator[tuple[Eliminated, Array, Array]]:
             for block in self._blocks if blocks is None else blocks:
-                traces = x[self._unknowns(block.cells)]
+                traces = x[self._unknowns(block.cells.numbers)]
                 flux, varying = with_f * block.flux_of_f, block.flux.shape[1]
                 flux[:, :varying] += np.einsum("nbi,ni->nb", block.flux, traces)
                 yield block, flux, np.einsum("nmi,ni->nm", block.u, traces) + with_f * block.u_of_f

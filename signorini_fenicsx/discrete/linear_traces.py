@@ -10,10 +10,10 @@ Facet i of a cell is opposite to its vertex i, and its vertices are in the order
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import factorial
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import dolfinx.mesh
 import numpy as np
@@ -62,9 +62,11 @@ class SomeCells:
 
     Attributes:
         vertices: Shape (cells, d + 1, d).
+        numbers: Their numbers on this rank, if they are those of a mesh.
     """
 
     vertices: Array
+    numbers: npt.NDArray[np.int32] = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     @property
     def dim(self) -> int:
@@ -189,11 +191,17 @@ class LinearTraces(MeshSpaces):
     order: Indices
     dofs: npt.NDArray[np.int32]
     contact: BoundaryFacets
+    cell_type: ClassVar[type[SomeCells]]
+    """Cells as the element has them."""
 
     @property
     def dim(self) -> int:
         """The dimension d."""
         return self.mesh.topology.dim
+
+    def blocks(self) -> Iterator[Any]:
+        """The owned cells as the element has them, some at a time, see `blocks_of_cells` (collective)."""
+        return (self.cell_type(self.vertices[numbers], numbers) for numbers in blocks_of_cells(self.mesh))
 
     @property
     def nodes(self) -> npt.NDArray[np.integer]:

@@ -136,6 +136,10 @@ class MeshSpaces:
         """The rows of `facets` of slaves of pairs."""
         return np.concatenate([np.empty(0, dtype=np.intp), *map(self.rows_of, self.pairs)])
 
+    def rows_on(self, *parts: str) -> npt.NDArray[np.intp]:
+        """The rows of `facets` that are on some parts of Γ_S."""
+        return np.flatnonzero(np.isin(self.part_of_facet, [self.part_names.index(part) for part in parts]))
+
     def rows_of(self, pair: MeshPair) -> npt.NDArray[np.intp]:
         """The rows of `facets` of the slaves of a pair; none if they are tied."""
         if pair.parts.tied:

@@ -12,7 +12,7 @@ import numpy as np
 import ufl
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.contact.law import Law, LawWithMemory
 from signorini_fenicsx.discrete.contact_sets import near_facets
@@ -47,11 +47,6 @@ class Remembered:
         """The columns of states, each by the number of its law and its name."""
         return [(i, name) for i, law in self.laws.items() for name in law.state]
 
-    def rows(self, law: Law) -> Indices:
-        """The facets of a law, as rows of `MeshSpaces.facets`."""
-        numbers = [self.spaces.part_names.index(part) for part in law.parts]
-        return np.flatnonzero(np.isin(self.spaces.part_of_facet, numbers))
-
     def start(self, tau: float, before: Any = None) -> Array:
         """The columns at t = 0, with no flux; states are those after another solution that has the same (collective).
 
@@ -64,8 +59,8 @@ class Remembered:
         for column, (i, name) in zip(columns.T, self.names, strict=False):
             place, law = f"law.{i}.{name}", self.laws[i]
             given = at_time(parsed(getattr(law, name), axes + "t", place), 0.0)
-            part = PartLaw(law, f"law.{i}", self.rows(law), {name: datum_of(self.spaces, place, given)})
-            column[part.rows] = means_of(self.spaces, part)[name]
+            rows, data = self.spaces.rows_on(*law.parts), {name: datum_of(self.spaces, place, given)}
+            column[rows] = means_of(self.spaces, PartLaw(law, f"law.{i}", rows, data))[name]
         known = None if before is None else Remembered.among(before.spaces, before.problem.laws)
         if known is not None and known.names == self.names != []:
             left = known.left_by(before)[:, :-2].T

@@ -202,10 +202,6 @@ class TraceBackend(DataBackend):
         """Whether the last solve went to its end, and x is its solution."""
         return self._state is State.SOLVED
 
-    def solver(self) -> str:
-        """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name()
-
     def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve as `Backend.solve` says, starting from the last solution (collective).
 
@@ -397,7 +393,3 @@ class TraceBackend(DataBackend):
         """The largest |u| and the largest |σ|, see `Backend.scales`."""
         u, sigma = self.sizes.largest
         return np.full(self.sites, u), np.full(self.sites, sigma)
-
-    def places(self) -> Array:
-        """The places of the sites, see `LinearTraces.places`."""
-        return self.spaces.places

@@ -133,7 +133,7 @@ def test_backends_regions_quantities_and_files(tmp_path: Path):
         assert read.certify().bound == pytest.approx(solution.certify().bound, rel=1e-9)
     with pytest.raises(InputError, match="alg1 to alg4"):
         solve(square, problem, Options(algorithm="qp"))
-    with pytest.raises(InputError, match="vector with 2 components"):
+    with pytest.raises(InputError, match="b: has 3 components, not 2"):
         solve(square, Diffusion(f=1, b=[1, 2, 3]))
 
 

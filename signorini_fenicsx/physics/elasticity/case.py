@@ -273,6 +273,7 @@ class ElasticCase(WithPairs):
     pair: Annotated[list[ElasticPair], Field(default=[], exclude_if=lambda pairs: not pairs)]
     exact: ElasticExact = ElasticExact()
     plot_keys = OF_BODIES
+    costs: ClassVar[Mapping[int, Cost]] = COSTS
 
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
@@ -287,11 +288,6 @@ class ElasticCase(WithPairs):
     inner_needs = "contact: list it there as well, or in a [[law]]"
     held = "clamped, u = u_D"
     is_vector = True
-
-    @property
-    def costs(self) -> Mapping[int, Cost]:
-        """What it costs to solve it, by dimension."""
-        return COSTS
 
     @property
     def states(self) -> tuple[str, str]:

@@ -267,9 +267,8 @@ class ElasticSolution(Solution):
         u, squares = spaces.displacement_values(self.u), np.zeros(3)
         size = spaces.dim + 1
         squares[0] = energy_squares(spaces, data, self.stresses).sum()
-        for cells in blocks_of_cells(spaces.mesh):
-            measure = Cells(spaces.vertices[cells]).measure
-            stresses, values = self.stresses[cells], u[cells]
+        for cells in spaces.blocks():
+            measure, stresses, values = cells.measure, self.stresses[cells.numbers], u[cells.numbers]
             of_values, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
             squares[1] += (subcell_squares(stresses) * measure[:, None] / size).sum()
             squares[2] += (measure * (of_values + of_sum)).sum() / (size * (size + 1))

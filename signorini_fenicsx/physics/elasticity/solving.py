@@ -49,6 +49,7 @@ class System:
     """
 
     steps_type: ClassVar[type[ElasticSteps]] = ElasticSteps
+    solution_type: ClassVar[type[ElasticSolution]] = ElasticSolution
 
     def __init__(self, domain: Domain, problem: ElasticProblem):
         """Set up the spaces (collective).
@@ -96,11 +97,7 @@ class System:
             watch=wish.watch,
             kept=self.kept,
         )
-        return self.run(task, options)
-
-    def run(self, task: ElasticTask, options: Options) -> ElasticRun:
-        """The problem, ready to be solved."""
-        return ElasticRun(task, options)
+        return ElasticRun(task, options, self.solution_type)
 
     def check(self, problem: ElasticProblem) -> list[str]:
         """Read the data and check them, see `solving.solver.System` (collective).
@@ -138,11 +135,12 @@ class ElasticRun:
     Attributes:
         task: What the method gets.
         options: Algorithm and its parameters.
+        solution_type: The class of its solutions.
     """
 
     task: ElasticTask
     options: Options
-    solution_type: ClassVar[type[ElasticSolution]] = ElasticSolution
+    solution_type: type[ElasticSolution]
 
     def remarks(self) -> list[str]:
         """Data that jump and should not, and along what the gap is measured (collective)."""

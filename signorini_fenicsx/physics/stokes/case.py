@@ -80,6 +80,9 @@ class StokesCase(CaseFile):
     law: Annotated[list[FlowLaw], Field(default=[], exclude_if=lambda laws: not laws)]
     exact: FlowExact = FlowExact()
     plot_keys = OF_FLOWS
+    costs: ClassVar[Mapping[int, Cost]] = COSTS
+    states: ClassVar[tuple[str, str]] = ("open", "held")
+    unproved: ClassVar[str] = "the proof is not for viscous flow"
     first_words = (*(word for word in KINDS if word != Corners.word), SYMMETRIC)
     first_listed = ("",)
     first_data = (
@@ -103,16 +106,6 @@ class StokesCase(CaseFile):
         return {"speed": ("speed", 11, ".5g")} | super().columns_of_step
 
     @property
-    def costs(self) -> Mapping[int, Cost]:
-        """What it costs to solve it, by dimension."""
-        return COSTS
-
-    @property
-    def states(self) -> tuple[str, str]:
-        """What reports call vertices under the two conditions."""
-        return "open", "held"
-
-    @property
     def lists(self) -> dict[str, list[str]]:
         """The parts of laws, but for those that are listed as fixed, see `CaseFile.lists`."""
         fixed = self.boundary.fixed
@@ -122,11 +115,6 @@ class StokesCase(CaseFile):
     def approach(self) -> str:
         """What is solved and how, in words."""
         return f"viscous flow, {self.solve.algorithm}"
-
-    @property
-    def unproved(self) -> str:
-        """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
-        return "the proof is not for viscous flow"
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:

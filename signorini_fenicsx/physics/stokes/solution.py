@@ -25,6 +25,7 @@ class StokesSolution(ElasticSolution):
     problem: StokesProblem
     unit_keys = ("unit", "stress_unit")
     fields, lines, columns = shown.fields, shown.lines, shown.columns
+    after = ""
 
     @property
     def gap(self) -> Array:
@@ -36,11 +37,6 @@ class StokesSolution(ElasticSolution):
     def approach(self) -> str:
         """The problem and its method, in words."""
         return f"viscous flow, {self.options.algorithm_name}"
-
-    @property
-    def after(self) -> str:
-        """Nothing is remembered of earlier steps."""
-        return ""
 
     def own_notes(self) -> list[str]:
         """A velocity of any size is right: nothing is said."""

@@ -11,7 +11,6 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.linear_traces import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.stokes.problem import IN_EXCESS
@@ -46,8 +45,8 @@ def check_flow(spaces: ElasticSpaces, data: ElasticData) -> None:
         share = np.einsum("ni,ni->n", axes, facets.outward[:, None] * facets.normals)
         along[facets.blocks] += share**2
         out[facets.blocks] += facets.measure * share * data.lift[spaces.unknowns(facets, k)].mean(axis=1)
-    for cells in blocks_of_cells(spaces.mesh):
-        np.add.at(sums[0], bodies[cells], -data.growth(spaces, cells))
+    for cells in spaces.blocks():
+        np.add.at(sums[0], bodies[cells.numbers], -data.growth(spaces, cells))
     for facets in (spaces.dirichlet, spaces.neumann):
         given, of = along[facets.blocks] > 1 - GIVEN, bodies[facets.cells]
         for row, values in enumerate((out[facets.blocks], np.abs(out[facets.blocks]))):

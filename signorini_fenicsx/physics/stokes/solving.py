@@ -7,10 +7,8 @@ from signorini_fenicsx.physics.elasticity import solving
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
-from signorini_fenicsx.physics.elasticity.solve.task import ElasticTask
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
 from signorini_fenicsx.physics.stokes.solvability import check_flow
-from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Wish
 
 
@@ -26,16 +24,10 @@ class FlowSteps(ElasticSteps):
         return []
 
 
-class FlowRun(solving.ElasticRun):
-    """A problem of flow on its mesh, ready to be solved."""
-
-    solution_type = StokesSolution
-
-
 class System(solving.System):
     """The spaces of viscous flow on a mesh."""
 
-    steps_type = FlowSteps
+    steps_type, solution_type = FlowSteps, StokesSolution
 
     def prepared(self, problem: ElasticProblem, wish: Wish) -> solving.ElasticRun:
         """Read the data and check them (collective).
@@ -46,7 +38,3 @@ class System(solving.System):
         run = super().prepared(problem, wish)
         check_flow(self.spaces, run.task.data)
         return run
-
-    def run(self, task: ElasticTask, options: Options) -> solving.ElasticRun:
-        """The problem, ready to be solved."""
-        return FlowRun(task, options)

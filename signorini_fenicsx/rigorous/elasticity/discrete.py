@@ -12,13 +12,13 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.linear_traces import opposite
+from signorini_fenicsx.discrete.vectors import PressureDatum
 from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Elementary
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.discrete import MeshCells, alike, gathered_rows

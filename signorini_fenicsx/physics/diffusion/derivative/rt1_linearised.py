@@ -201,7 +201,7 @@ class LinearisedFluxes(HybridLinearised):
         for numbers in blocks_of_cells(spaces.mesh):
             points = data_points(spaces, numbers, degree)
             weights = spaces.cell_measures[numbers, None] * points.weights / points.weights.sum()
-            hats = hats_in(spaces, numbers, points).transpose(1, 0, 2)
+            hats = hats_in(spaces, points).transpose(1, 0, 2)
             yield numbers, weights, hats, datum.values(points)
 
 

@@ -5,7 +5,6 @@ per facet. So û + z stands in the Crouzeix-Raviart form of the method where û 
 for a b that is constant on a cell z is κ_h⁻¹b·(x − x_T) in the midpoints of the facets.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,9 +21,10 @@ from signorini_fenicsx.base.owned import cell_dofs, function_at, owned_cells
 from signorini_fenicsx.discrete.bernstein import coefficients_of, interpolation, nodes
 from signorini_fenicsx.discrete.cell_shapes import arms
 from signorini_fenicsx.discrete.data_values import check_means
-from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree, regional_datum
+from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, in_cells
+from signorini_fenicsx.discrete.vectors import vector_datum_of
 from signorini_fenicsx.expressions.simplices import INSIDE
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, RT1Flux
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
@@ -176,34 +176,6 @@ def added_flux(spaces: Spaces, given: Any) -> AddedFlux:
     Raises:
         InputError: If it has not one component for each dimension, or is not finite.
     """
-    dim = spaces.mesh.geometry.dim
-    of_regions = given if isinstance(given, Mapping) else {"": given}
-    split = {name: _components(value, f"b.{name}".rstrip("."), dim) for name, value in of_regions.items()}
-    components = []
-    for i in range(dim):
-        of_component = {name: values[i] for name, values in split.items()}
-        components.append(regional_datum(spaces, "b", of_component if isinstance(given, Mapping) else of_component[""]))
-    b = AddedFlux(spaces, tuple(components))
+    b = AddedFlux(spaces, vector_datum_of(spaces, "b", given, continuous=False).components)
     check_means("b", "in the domain", b.means, spaces)
     return b
-
-
-def _components(given: Any, key: str, dim: int) -> list[Any]:
-    """The components of a vector.
-
-    Raises:
-        InputError: If there are not as many as dimensions.
-    """
-    if isinstance(given, Expr):
-        count = given.ufl_shape[0] if len(given.ufl_shape) == 1 else 0
-    elif callable(given):
-        return [_component(given, i) for i in range(dim)]
-    else:
-        count = len(given) if isinstance(given, list | tuple) else 0
-    if count != dim:
-        raise InputError(f"[problem] {key}: must be a vector with {dim} components")
-    return [given[i] for i in range(dim)]
-
-
-def _component(given: Callable[[Array], Any], i: int) -> Callable[[Array], Array]:
-    return lambda x: np.broadcast_to(np.asarray(given(x)[i], dtype=np.float64), x.shape[1:])

@@ -79,8 +79,7 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
     psi_h, q_Sh = np.empty(number), np.empty(number)
     of_parts, chains = [], []
     for name, law, data in laws:
-        rows = np.flatnonzero(np.isin(spaces.part_of_facet, [spaces.part_names.index(part) for part in law.parts]))
-        for some in by_ends(spaces, PartLaw(law, name, rows, data)):
+        for some in by_ends(spaces, PartLaw(law, name, spaces.rows_on(*law.parts), data)):
             part, graph = checked(spaces, some)
             psi_h[part.rows], q_Sh[part.rows] = graph.reference
             chains.append((part.rows, chains_of(graph, len(part.rows))))

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.hybrid_system import eliminate, responses
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, linear_values, means_of_linear
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values, means_of_linear
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
 from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
@@ -54,22 +54,22 @@ class RT1Data(Data):
         """The law of each facet vertex of Γ_S and, with laws in Ω, of each vertex of each owned cell."""
         return self.laws_at.chains.followed_by(self.cells_at.chains)
 
-    def products(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+    def products(self, spaces: RT1Spaces, cells: Cells) -> Array:
         """(κ⁻¹τ, τ') for all pairs of the basis on cells, shape (cells, basis, basis) (collective)."""
         if self.kappa.polynomial == 0:
-            kappa = self.kappa.values(data_points(spaces, numbers, 0).first)
+            kappa = self.kappa.values(data_points(spaces, cells.numbers, 0).first)
             return cells.product(np.linalg.inv(as_matrices(kappa, spaces.dim)[:, 0]))
-        points = data_points(spaces, numbers, quadrature_degree(self.kappa))
+        points = data_points(spaces, cells.numbers, quadrature_degree(self.kappa))
         inverse = np.linalg.inv(as_matrices(self.kappa.values(points), spaces.dim))
-        basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
+        basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[cells.numbers])]
         return cells.product_in_points(inverse, basis, points.weights)
 
-    def of_b(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
+    def of_b(self, spaces: RT1Spaces, cells: Cells) -> Array | None:
         """(κ⁻¹b, τ) for the basis, shape (cells, basis), as the products have κ; None without b (collective)."""
         if self.b is None:
             return None
-        points = data_points(spaces, numbers, self.degree_of(self.b))
-        basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
+        points = data_points(spaces, cells.numbers, self.degree_of(self.b))
+        basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[cells.numbers])]
         values = self.b.over_kappa(points, self.kappa)
         return np.asarray(np.einsum("q,nqi,nij,nqjb->nb", points.weights, values, cells.derivative, basis))
 
@@ -87,9 +87,9 @@ class RT1Data(Data):
             sigma: The values of σ at the nodes of the owned cells.
         """
         found = np.zeros((len(sigma), len(reference(spaces.dim).basis), spaces.dim + 1))
-        for numbers in blocks_of_cells(spaces.mesh):
-            cells, points = Cells(spaces.vertices[numbers]), data_points(spaces, numbers, quadrature_degree(self.kappa))
-            weight = hats_in(spaces, numbers, points) / self.kappa.values(points).T[:, :, None] ** 2
+        for cells in spaces.blocks():
+            numbers, points = cells.numbers, data_points(spaces, cells.numbers, quadrature_degree(self.kappa))
+            weight = hats_in(spaces, points) / self.kappa.values(points).T[:, :, None] ** 2
             basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
             of_sigma = cells.coefficients(sigma[numbers])
             values = np.einsum("nij,nqjb,nb->nqi", cells.map, basis, of_sigma, optimize=True)
@@ -100,13 +100,13 @@ class RT1Data(Data):
             )
         return found
 
-    def reactions(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
+    def reactions(self, spaces: RT1Spaces, cells: Cells) -> Array | None:
         """(cφ_v, φ_w) for the hats of the vertices of cells; None if c = 0 (collective)."""
         if self.c_h is None:
             return None
         if self.quasilinear is not None and self.quasilinear.storing is not None:
-            return self.quasilinear.storing.products(numbers)
-        return _products(spaces, self.c, numbers, cells)
+            return self.quasilinear.storing.products(cells.numbers)
+        return _products(spaces, self.c, cells)
 
     def _projection_of_f(self, spaces: RT1Spaces) -> Array:
         """Π₁f at the vertices of the owned cells (collective)."""
@@ -116,37 +116,35 @@ class RT1Data(Data):
         """See `Data` (collective)."""
         element, hats = reference(spaces.dim), hats_in_places(spaces)
         means, moments = np.empty((len(traces), len(hats))), np.empty((len(traces), len(hats), len(hats)))
-        for numbers in blocks_of_cells(spaces.mesh):
-            cells = Cells(spaces.vertices[numbers])
-            product, of_b = self.products(spaces, numbers, cells), self.of_b(spaces, numbers, cells)
+        for cells in spaces.blocks():
+            numbers, product, of_b = cells.numbers, self.products(spaces, cells), self.of_b(spaces, cells)
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             of_traces = (traces[numbers] @ element.tractions)[:, None]
             none, compliance = np.zeros((len(numbers), len(hats))), responses(product, len(hats))[1]
-            block = eliminate(numbers, cells, of_traces, product, none, 0.0 if of_b is None else of_b)
+            block = eliminate(cells, of_traces, product, none, 0.0 if of_b is None else of_b)
             means[numbers] = (block.u[:, :, 0] + block.u_of_f) @ hats.T
             share = cells.measure[:, None, None] / len(hats)
             moments[numbers] = share * (hats @ compliance @ hats.T)
         return means, moments
 
-    def moments_of_f(self, spaces: RT1Spaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+    def moments_of_f(self, spaces: RT1Spaces, cells: Cells) -> Array:
         """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
-        moments = _moments(spaces, self.f, numbers, cells)
+        moments = _moments(spaces, self.f, cells)
         if self.memory is not None:
-            moments += _times(cells.hat_masses(), spaces.scalar_values(self.memory)[numbers])
-        if self.constant == 0 or (reactions := self.reactions(spaces, numbers, cells)) is None:
+            moments += _times(cells.hat_masses(), spaces.scalar_values(self.memory)[cells.numbers])
+        if self.constant == 0 or (reactions := self.reactions(spaces, cells)) is None:
             return moments
         return moments - self.constant * reactions.sum(axis=2)
 
     def mean_sources(self, spaces: RT1Spaces, u: fem.Function) -> Array:
         """See `Data.mean_sources` (collective)."""
         values, means = spaces.scalar_values(u), np.empty(len(spaces.order))
-        for numbers in blocks_of_cells(spaces.mesh):
-            cells = Cells(spaces.vertices[numbers])
-            moments, reactions = self.moments_of_f(spaces, numbers, cells), self.reactions(spaces, numbers, cells)
+        for cells in spaces.blocks():
+            moments, reactions = self.moments_of_f(spaces, cells), self.reactions(spaces, cells)
             if reactions is not None:
-                moments -= _times(reactions, values[numbers])
-            means[numbers] = moments.sum(axis=1) / cells.measure
+                moments -= _times(reactions, values[cells.numbers])
+            means[cells.numbers] = moments.sum(axis=1) / cells.measure
         return means
 
     def in_cells(self, spaces: RT1Spaces, sigma: Array, u: Array) -> tuple[Array, Array]:
@@ -158,12 +156,11 @@ class RT1Data(Data):
             The means of u by the hats, less the references, and the values of −s, shape (sites,) each.
         """
         s, free = np.empty_like(u), reference(spaces.dim).free
-        for numbers in blocks_of_cells(spaces.mesh):
-            cells = Cells(spaces.vertices[numbers])
-            of_s = self.moments_of_f(spaces, numbers, cells) + cells.coefficients(sigma[numbers])[:, free:]
-            if (reaction := self.reactions(spaces, numbers, cells)) is not None:
-                of_s -= np.einsum("nvw,nw->nv", reaction, u[numbers])
-            s[numbers] = linear_values(of_s, cells.measure)
+        for cells in spaces.blocks():
+            of_s = self.moments_of_f(spaces, cells) + cells.coefficients(sigma[cells.numbers])[:, free:]
+            if (reaction := self.reactions(spaces, cells)) is not None:
+                of_s -= np.einsum("nvw,nw->nv", reaction, u[cells.numbers])
+            s[cells.numbers] = linear_values(of_s, cells.measure)
         return means_of_linear(u).ravel() - self.cells_at.p_h, -s.ravel()
 
     def less(self, spaces: Spaces, constant: float) -> RT1Data:
@@ -206,25 +203,25 @@ def data_points(spaces: RT1Spaces, numbers: npt.NDArray[np.int32], degree: int) 
     return CellPoints(spaces.mesh, numbers, *rule)
 
 
-def hats_in(spaces: RT1Spaces, numbers: npt.NDArray[np.int32], points: CellPoints) -> Array:
+def hats_in(spaces: RT1Spaces, points: CellPoints) -> Array:
     """The hats of the vertices of cells, in their order, in points, shape (points, cells, d + 1)."""
-    hats: Array = points.barycentric[0][:, spaces.order[numbers]]
+    hats: Array = points.barycentric[0][:, spaces.order[points.cells]]
     return hats
 
 
-def _moments(spaces: RT1Spaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+def _moments(spaces: RT1Spaces, datum: Datum, cells: Cells) -> Array:
     """(f, φ_v) of a datum for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
-    points = data_points(spaces, numbers, quadrature_degree(datum) - 2)  # the rule of the means
+    points = data_points(spaces, cells.numbers, quadrature_degree(datum) - 2)  # the rule of the means
     values = cells.determinant[:, None] * points.weights * datum.values(points)
-    return np.asarray(np.einsum("nq,qnv->nv", values, hats_in(spaces, numbers, points)))
+    return np.asarray(np.einsum("nq,qnv->nv", values, hats_in(spaces, points)))
 
 
-def _products(spaces: RT1Spaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+def _products(spaces: RT1Spaces, datum: Datum, cells: Cells) -> Array:
     """(cφ_v, φ_w) of a datum for the hats of the vertices of cells (collective)."""
     if datum.polynomial == 0:
-        return cells.hat_masses(datum.values(data_points(spaces, numbers, 0).first)[:, 0])
-    points = data_points(spaces, numbers, quadrature_degree(datum))
-    hats = hats_in(spaces, numbers, points)
+        return cells.hat_masses(datum.values(data_points(spaces, cells.numbers, 0).first)[:, 0])
+    points = data_points(spaces, cells.numbers, quadrature_degree(datum))
+    hats = hats_in(spaces, points)
     scale = cells.determinant[:, None] * points.weights * datum.values(points)
     return np.asarray(np.einsum("nq,qnv,qnw->nvw", scale, hats, hats, optimize=True))
 
@@ -243,14 +240,10 @@ def projected(spaces: RT1Spaces, datum: Datum, u: Array | None = None) -> Array:
         u: The values of u at the vertices, in the order of `LinearTraces.order`.
     """
     values = np.empty(spaces.order.shape)
-    for numbers in blocks_of_cells(spaces.mesh):
-        cells = Cells(spaces.vertices[numbers])
-        moments = (
-            _moments(spaces, datum, numbers, cells)
-            if u is None
-            else _times(_products(spaces, datum, numbers, cells), u[numbers])
-        )
-        values[numbers] = _times(np.linalg.inv(cells.hat_masses()), moments)
+    for cells in spaces.blocks():
+        of_datum = _moments(spaces, datum, cells) if u is None else _products(spaces, datum, cells)
+        moments = of_datum if u is None else _times(of_datum, u[cells.numbers])
+        values[cells.numbers] = _times(np.linalg.inv(cells.hat_masses()), moments)
     return values
 
 

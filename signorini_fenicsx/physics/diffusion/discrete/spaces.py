@@ -180,6 +180,8 @@ class RT1Spaces(LinearTraces, Spaces):
     the domain the unknowns of the named side are the jump, on a slave of a pair û less the mean of û opposite to it.
     """
 
+    cell_type = Cells
+
     @property
     def nodes(self) -> npt.NDArray[np.integer]:
         """The nodes at the vertices of the owned cells in DOLFINx's order."""

@@ -44,9 +44,8 @@ def _of_laws(solution: Solution) -> list[tuple[str, str, Indices, Array]]:
     remembered = Remembered.among(solution.spaces, solution.problem.laws)
     if not remembered.laws:
         return []
-    flux = solution.spaces.normal_flux(solution.sigma)
-    columns = remembered.after(solution.data.laws.of_parts, solution.p_means, flux)
-    rows = {i: remembered.rows(law) for i, law in remembered.laws.items()}
+    columns = remembered.left_by(solution)
+    rows = {i: solution.spaces.rows_on(*law.parts) for i, law in remembered.laws.items()}
     return [
         (f"law.{i}", name, rows[i], column[rows[i]])
         for (i, name), column in zip(remembered.names, columns.T, strict=False)

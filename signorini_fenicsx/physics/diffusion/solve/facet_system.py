@@ -134,10 +134,6 @@ class FacetSystem(SoilTraces):
         self._assemble_again()
         self._take_load()
 
-    def on_cells(self, x: PETSc.Vec) -> Array:
-        """û on the facets of the owned cells, shape (cells, d + 1) (collective)."""
-        return self.traces_on_cells(self.with_lift(x))
-
     def traces_on_cells(self, unknowns: Array) -> Array:
         """See `SoilTraces`, shape (cells, d + 1) (collective)."""
         return np.asarray(self.sides.values(unknowns)[self._dofs])

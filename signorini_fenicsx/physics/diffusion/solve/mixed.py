@@ -24,7 +24,7 @@ from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.kept_forms import Coefficient
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.matrices import identity_with
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import Points, cell_quadrature
@@ -36,7 +36,6 @@ from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import joined
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.jumps import with_one_flux
-from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells
 from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces, Spaces
 from signorini_fenicsx.physics.diffusion.solve.facets import FacetBackend
@@ -78,8 +77,8 @@ class RT1MixedBackend(VertexBackend):
             rows, of_data = self._of(facets), spaces.unknowns(facets)
             lift[rows], load[rows] = data.lift[of_data], -data.load[of_data]
         moments, dofs = fem.Function(spaces.scalar_space), spaces.at_vertices(spaces.scalar_space)
-        for numbers in blocks_of_cells(spaces.mesh):
-            moments.x.array[dofs[numbers]] = data.moments_of_f(spaces, numbers, Cells(spaces.vertices[numbers]))
+        for cells in spaces.blocks():
+            moments.x.array[dofs[cells.numbers]] = data.moments_of_f(spaces, cells)
         load[self._ends[0] : self._ends[1]] = -moments.x.array[: sizes[1]]
         if data.b is not None:
             of_b = assembled(spaces.kept(_of_b, _b_in_points(spaces, data, data.b)))
@@ -103,10 +102,6 @@ class RT1MixedBackend(VertexBackend):
         places = np.broadcast_to(rows[:, :, None], shape), np.broadcast_to(columns[:, None], shape)
         row, column = (int(comm.exscan(size) or 0) + each.ravel() for each in places)
         return identity_with(comm, size, row, column, values.ravel())
-
-    def solver(self) -> str:
-        """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name()
 
     def solve(self, conditions: SiteConditions) -> RT1Iterate:
         """Solve as `Backend.solve` says (collective).
@@ -253,10 +248,6 @@ class MixedBackend(FacetBackend):
         c = self.data.c_h.copy()
         c.x.array[:] += self._stabilisation
         return self.data.kappa_h, c
-
-    def solver(self) -> str:
-        """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name()
 
     def solve(self, conditions: SiteConditions) -> Iterate:
         """Solve as `Backend.solve` says (collective).

@@ -71,9 +71,9 @@ class VertexBackend(DataBackend):
         cells, row = np.unique(contact.cells, return_inverse=True)
         moments, places = np.zeros((len(cells), dim + 1, dim)), (row, contact.local)
         moments[places] = contact.measure[:, None] / dim * means_of_linear(added)
-        shapes, basis = Cells(spaces.vertices[cells]), reference(dim).nodal[:, : dim * (dim + 1)]
+        shapes, basis = Cells(spaces.vertices[cells], cells), reference(dim).nodal[:, : dim * (dim + 1)]
         change = moments.reshape(-1, dim * (dim + 1)) @ basis.T
-        sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, cells.astype(np.int32), shapes)
+        sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, shapes)
         sigma[cells] += shapes.at_nodes(change)
         moved = np.einsum("nbc,nc->nb", product, change) @ basis
         means = means_of_linear(moved.reshape(-1, dim + 1, dim)[places]).ravel()
@@ -84,10 +84,6 @@ class VertexBackend(DataBackend):
     def change(self) -> FieldChange:
         """Norms of what changed, see `Backend.change`."""
         return FieldChange(self.spaces.flux_space, self.spaces.scalar_space)
-
-    def places(self) -> Array:
-        """The places of the sites, see `LinearTraces.places`."""
-        return self.spaces.places
 
 
 class RT1Backend(VertexBackend, FluxBackend):

@@ -10,9 +10,9 @@ from signorini_fenicsx.base.owned import function_of, sums_at
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Penalty
 from signorini_fenicsx.contact.residuals import relative, squares_off
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, linear_from_means, linear_values
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, linear_values
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import reference
 from signorini_fenicsx.physics.diffusion.discrete.rt1_data import RT1Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import RT1Spaces
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, by_gradient, sizes_of_solution
@@ -79,18 +79,14 @@ def _of_cells(spaces: RT1Spaces, data: RT1Data, sigma: Array, u: Array, means: A
     free, traces = element.free, len(element.tractions)
     count, squares = len(spaces.order), np.zeros((2, 2))
     trace, sizes = np.empty((count, traces)), np.empty((count, traces, 2))
-    for numbers in blocks_of_cells(spaces.mesh):
-        cells = Cells(spaces.vertices[numbers])
-        product, identity = (
-            data.products(spaces, numbers, cells),
-            np.broadcast_to(np.eye(dim), (len(numbers), dim, dim)),
-        )
-        missing = data.moments_of_f(spaces, numbers, cells)
-        reaction = data.reactions(spaces, numbers, cells)
+    for cells in spaces.blocks():
+        numbers, product = cells.numbers, data.products(spaces, cells)
+        missing, reaction = data.moments_of_f(spaces, cells), data.reactions(spaces, cells)
+        identity = np.broadcast_to(np.eye(dim), (len(numbers), dim, dim))
         of_sigma = cells.coefficients(sigma[numbers])
         residual = np.einsum("nbc,nc->nb", product, of_sigma)
         residual[:, free:] += u[numbers]  # the moments of ∇· of the basis are 1
-        if (of_b := data.of_b(spaces, numbers, cells)) is not None:
+        if (of_b := data.of_b(spaces, cells)) is not None:
             residual -= of_b
         residual = residual @ element.nodal
         trace[numbers] = residual[:, :traces]

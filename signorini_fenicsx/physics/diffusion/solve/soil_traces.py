@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import sums_at
@@ -23,6 +24,10 @@ class SoilTraces(TraceSystem):
     def cells_around(self) -> Array:
         """The number of cells with each û of this rank, ghosts too (collective when first used)."""
         return sums_at(self._numbers, self._dofs)
+
+    def on_cells(self, x: PETSc.Vec) -> Array:
+        """û on the facets of the owned cells, from the owned unknowns without what is given (collective)."""
+        return self.traces_on_cells(self.with_lift(x))
 
     @abstractmethod
     def traces_on_cells(self, unknowns: Array) -> Array:

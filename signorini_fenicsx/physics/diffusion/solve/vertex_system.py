@@ -12,7 +12,6 @@ from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
 from signorini_fenicsx.discrete.linear_traces import (
-    blocks_of_cells,
     facet_normals,
     linear_from_means,
     means_of_linear,
@@ -40,11 +39,6 @@ class VertexSystem(SoilTraces, HybridSystem):
             self._in_cells = InCells.of(data.cells_at, none)
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
         self._take_loads()
-
-    @property
-    def lift(self) -> Array:
-        """See `TraceSystem.lift`."""
-        return self._data.lift
 
     def _take_loads(self) -> None:
         """Find the right side (collective)."""
@@ -75,24 +69,22 @@ class VertexSystem(SoilTraces, HybridSystem):
             moments: (f, φ_v) of each cell, shape (cells, d + 1).
         """
         spaces, data, element = self.spaces, self._data, reference(self.spaces.dim)
-        for numbers in blocks_of_cells(spaces.mesh):
-            cells = Cells(spaces.vertices[numbers])
-            product, reaction = data.products(spaces, numbers, cells), data.reactions(spaces, numbers, cells)
-            of_f = data.moments_of_f(spaces, numbers, cells) if moments is None else moments[numbers]
-            of_b = data.of_b(spaces, numbers, cells) if functional is None else None
+        for cells in spaces.blocks():
+            numbers, product, reaction = cells.numbers, data.products(spaces, cells), data.reactions(spaces, cells)
+            of_f = data.moments_of_f(spaces, cells) if moments is None else moments[numbers]
+            of_b = data.of_b(spaces, cells) if functional is None else None
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             tractions = np.broadcast_to(element.tractions, (len(numbers), *element.tractions.shape)).copy()
             spaces.to_unknowns(tractions, numbers)
             of_sigma = functional[numbers] if functional is not None else 0.0 if of_b is None else of_b
             if self._in_cells is None:
-                yield eliminate(numbers, cells, tractions, product, -of_f, of_sigma, reaction)
+                yield eliminate(cells, tractions, product, -of_f, of_sigma, reaction)
             else:
-                yield self._with_laws(numbers, cells, tractions, product, of_f, of_sigma, reaction, self._in_cells)
+                yield self._with_laws(cells, tractions, product, of_f, of_sigma, reaction, self._in_cells)
 
     def _with_laws(
         self,
-        numbers: npt.NDArray[np.int32],
         cells: Cells,
         tractions: Array,
         product: Array,
@@ -110,17 +102,16 @@ class VertexSystem(SoilTraces, HybridSystem):
         values, means = linear_from_means(units), means_of_linear(units)  # X and its inverse
         share, to_dual = cells.measure / len(units), np.eye(product.shape[1])
         to_dual[free:, free:] = means
-        springs = share[:, None, None] * laws.stiffness[numbers]
+        springs = share[:, None, None] * laws.stiffness[cells.numbers]
         springs = springs if reaction is None else springs + values @ reaction @ values
         block = eliminate(
-            numbers,
             cells,
             tractions @ to_dual,
             to_dual @ product @ to_dual,
-            -of_f @ values - share[:, None] * laws.load[numbers],
+            -of_f @ values - share[:, None] * laws.load[cells.numbers],
             of_sigma @ to_dual if isinstance(of_sigma, np.ndarray) else of_sigma,
             reaction=springs,
-            held=(laws.held[numbers], laws.values[numbers]),
+            held=(laws.held[cells.numbers], laws.values[cells.numbers]),
         )
         return replace(
             block,
@@ -135,10 +126,6 @@ class VertexSystem(SoilTraces, HybridSystem):
         self._data = data
         self.assemble_again()
         self._take_loads()
-
-    def on_cells(self, x: PETSc.Vec) -> Array:
-        """û at the vertices of the facets of the owned cells, shape (cells, (d + 1) d) (collective)."""
-        return self.traces_on_cells(self.with_lift(x))
 
     def traces_on_cells(self, unknowns: Array) -> Array:
         """See `SoilTraces`, shape (cells, (d + 1) d) (collective)."""
@@ -189,8 +176,8 @@ class VertexSystem(SoilTraces, HybridSystem):
         count, dim = len(self.spaces.order), self.spaces.dim
         sigma, u = np.empty((count, len(reference(dim).at_nodes), dim)), np.empty((count, dim + 1))
         for block, of_flux, of_u in parts:
-            sigma[block.cells] = block.geometry.at_nodes(of_flux)
-            u[block.cells] = of_u
+            sigma[block.cells.numbers] = block.cells.at_nodes(of_flux)
+            u[block.cells.numbers] = of_u
         return sigma, u
 
     def forces(self, sigma: Array) -> Array:

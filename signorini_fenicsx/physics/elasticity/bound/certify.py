@@ -37,6 +37,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cells_behind, sums_at
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
+from signorini_fenicsx.discrete.vectors import PressureDatum, VectorDatum
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
@@ -54,7 +55,6 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import (
 from signorini_fenicsx.physics.elasticity.bound.tied import lacking
 from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE
 from signorini_fenicsx.physics.elasticity.discrete.friction import is_linear
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 

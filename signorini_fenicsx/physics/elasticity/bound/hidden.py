@@ -39,6 +39,7 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.discrete.vectors import PressureDatum, VectorDatum
 from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
@@ -49,7 +50,7 @@ from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_F
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, LARGEST_DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, split_vertices
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum, facet_rule
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 MUCH = 0.5

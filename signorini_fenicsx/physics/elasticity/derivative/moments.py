@@ -9,10 +9,10 @@ from signorini_fenicsx.base.arrays import Array, positions
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.derivatives.linearised import Effect, by_moments, to_values
 from signorini_fenicsx.discrete.datum import Datum, datum_of
+from signorini_fenicsx.discrete.vectors import PressureDatum
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 

@@ -25,6 +25,7 @@ from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
+from signorini_fenicsx.discrete.vectors import PressureDatum, VectorDatum, vector_datum_of, vector_on_parts
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, FromBefore, friction_bounds
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, split_vertices
@@ -38,10 +39,8 @@ from signorini_fenicsx.physics.elasticity.discrete.material import (
 )
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import normal_laws
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
-    PressureDatum,
     Pull,
     RaisedGap,
-    VectorDatum,
     add_pulls,
     add_tractions,
     beyond_surfaces,
@@ -49,8 +48,6 @@ from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
     pulls_of,
     traction_moments,
     tractions_given,
-    vector_datum_of,
-    vector_on_parts,
 )
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports, supports_of
@@ -172,51 +169,48 @@ class ElasticData:
             largest = max(largest, float((2 * (of_shape / of_volume - 1) / spaces.dim).max(initial=0.0)))
         return float(spaces.mesh.comm.allreduce(largest, MPI.MAX))
 
-    def moments_of_f(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
-        """(f, φ_v) for the hats of the vertices of cells with these |T|, shape (cells, d + 1, d) (collective)."""
+    def moments_of_f(self, spaces: ElasticSpaces, cells: Cells) -> Array:
+        """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1, d) (collective)."""
         subcells, number, _ = self.quadrature.hats.shape
-        values = self.f.values(self.points(spaces, cells)).reshape(len(cells), subcells, number, spaces.dim)
+        values = self.f.values(self.points(spaces, cells.numbers)).reshape(-1, subcells, number, spaces.dim)
         sums = np.einsum("nsqr,sqv,q->nvr", values, self.quadrature.hats, self.quadrature.weights, optimize=True)
-        return measure[:, None, None] / subcells * np.take_along_axis(sums, spaces.order[cells][:, :, None], axis=1)
+        in_order = np.take_along_axis(sums, spaces.order[cells.numbers][:, :, None], axis=1)
+        return cells.measure[:, None, None] / subcells * in_order
 
-    def masses(
-        self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array, values: Array | None = None
-    ) -> Array:
+    def masses(self, spaces: ElasticSpaces, cells: Cells, values: Array | None = None) -> Array:
         """𝔸 times φ_a φ_b over the subcells of cells, see `compliance_product` (collective).
 
         Args:
             spaces: The spaces.
             cells: The cells.
-            measure: Their |T|.
             values: Their `compliances`, if these are known.
         """
         local, weights = self.quadrature.local, self.quadrature.weights
         size = local.shape[1]
-        values = self.compliances(spaces, cells) if values is None else values
-        number = values.shape[-1]
-        values = np.broadcast_to(values, (len(cells), size * len(weights), number, number))
+        values = self.compliances(spaces, cells.numbers) if values is None else values
+        number, count = values.shape[-1], len(cells.numbers)
+        values = np.broadcast_to(values, (count, size * len(weights), number, number))
         products = np.einsum("q,qa,qb->qab", weights, local, local)
-        sums = np.tensordot(values.reshape(len(cells), size, len(weights), number, number), products, (2, 0))
-        cell, subcell, vertex = (place[..., None] for place in spaces.as_dolfinx(cells))
+        sums = np.tensordot(values.reshape(count, size, len(weights), number, number), products, (2, 0))
+        cell, subcell, vertex = (place[..., None] for place in spaces.as_dolfinx(cells.numbers))
         ordered = np.moveaxis(sums, (4, 5), (2, 3))[cell, subcell, vertex, vertex.swapaxes(2, 3)]
-        ordered *= measure[:, None, None, None, None, None] / size
-        return ordered.transpose(0, 1, 2, 4, 3, 5).reshape(len(cells), size, size * number, size * number)
+        ordered *= cells.measure[:, None, None, None, None, None] / size
+        return ordered.transpose(0, 1, 2, 4, 3, 5).reshape(count, size, size * number, size * number)
 
-    def strains(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
-        """∫ φ_a ε₀ over the subcells of cells with these |T|, shape (cells, d + 1, d + 1, entries) (collective)."""
+    def strains(self, spaces: ElasticSpaces, cells: Cells) -> Array:
+        """∫ φ_a ε₀ over the subcells of cells, shape (cells, d + 1, d + 1, entries) (collective)."""
         local, weights = self.quadrature.local, self.quadrature.weights
-        values = self.material.strain(self.points(spaces, cells))
-        values = values.reshape(len(cells), local.shape[1], len(weights), values.shape[-1])
-        sums = np.einsum("q,qa,nsqe->nsae", weights, local, values, optimize=True)[spaces.as_dolfinx(cells)]
-        strains: Array = measure[:, None, None, None] / local.shape[1] * sums
+        values = self.material.strain(self.points(spaces, cells.numbers))
+        values = values.reshape(len(cells.numbers), local.shape[1], len(weights), values.shape[-1])
+        sums = np.einsum("q,qa,nsqe->nsae", weights, local, values, optimize=True)[spaces.as_dolfinx(cells.numbers)]
+        strains: Array = cells.measure[:, None, None, None] / local.shape[1] * sums
         return strains
 
-    def growth(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> Array:
+    def growth(self, spaces: ElasticSpaces, cells: Cells) -> Array:
         """∫ tr ε₀ over cells (collective)."""
         if not self.material.strains:
-            return np.zeros(len(cells))
-        strains = self.strains(spaces, cells, Cells(spaces.vertices[cells]).measure)
-        return np.asarray(strains[..., : spaces.dim].sum(axis=(1, 2, 3)))
+            return np.zeros(len(cells.numbers))
+        return np.asarray(self.strains(spaces, cells)[..., : spaces.dim].sum(axis=(1, 2, 3)))
 
 
 def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBefore | None = None) -> ElasticData:

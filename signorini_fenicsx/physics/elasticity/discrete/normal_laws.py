@@ -79,8 +79,6 @@ def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[str, Law]]) -> Verte
     parts_of_laws(spaces, laws)
     parts = []
     for name, law in laws:
-        numbers = [spaces.part_names.index(part) for part in law.parts]
-        rows = np.flatnonzero(np.isin(spaces.part_of_facet, numbers))
-        parts.append(NormalLaw(law, name, rows, data_of_law(spaces, law, name)))
+        parts.append(NormalLaw(law, name, spaces.rows_on(*law.parts), data_of_law(spaces, law, name)))
         refuse_data(spaces, parts[-1])
     return vertex_laws(spaces, parts)

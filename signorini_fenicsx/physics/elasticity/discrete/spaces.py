@@ -22,6 +22,7 @@ from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTrace
 from signorini_fenicsx.discrete.mesh_spaces import build_mesh_spaces
 from signorini_fenicsx.discrete.pairing import MeshPair, pairs_on
 from signorini_fenicsx.meshes.domain import AXES, Domain, distribute
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, TANGENTIAL, ElasticBoundary
 
 
@@ -147,6 +148,7 @@ class ElasticSpaces(LinearTraces):
     boundary: ElasticBoundary
     displacements: fem.FunctionSpace
     rough_rows: Indices
+    cell_type = Cells
 
     @cached_property
     def distances(self) -> dict[tuple[str, str], Array]:
@@ -191,10 +193,6 @@ class ElasticSpaces(LinearTraces):
         frames = _frames(self.boundary_facets(pair.slaves).normals)  # as in `frames`, to the last digit
         frames[~np.isin(pair.slaves, self.rough.facets), 1:] = 0.0
         return frames
-
-    def rows_on(self, part: str) -> Indices:
-        """The rows of `contact` that are on a part of Γ_C."""
-        return np.flatnonzero(self.part_of_facet == self.part_names.index(part))
 
     def unknowns(self, facets: BoundaryFacets, k: int) -> npt.NDArray[np.int32]:
         """The unknowns (a, k) of facets, shape (facets, d)."""
@@ -307,18 +305,14 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
     )
     dim = domain.mesh.topology.dim
     displacements = fenicsx.function_space(domain.mesh, ("DG", 1, (dim,)))
-
-    def rows(parts: Sequence[str]) -> Indices:
-        names = [index for index, name in enumerate(on_mesh.part_names) if name in parts]
-        return np.flatnonzero(np.isin(on_mesh.part_of_facet, names))
-
     spaces = ElasticSpaces(
         **linear_traces(on_mesh, (dim, dim)),
         boundary=boundary,
         displacements=displacements,
-        rough_rows=rows(rough),
+        rough_rows=on_mesh.rows_on(*rough),
     )
-    return replace(spaces, contact=spaces.contact.turned(rows(boundary.turned))) if boundary.turned else spaces
+    turned = spaces.rows_on(*boundary.turned)
+    return replace(spaces, contact=spaces.contact.turned(turned)) if boundary.turned else spaces
 
 
 def _frame_matrices(normals: Array, dual: Array, beside: Array | None = None) -> Array:

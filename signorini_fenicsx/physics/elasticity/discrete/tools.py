@@ -19,13 +19,24 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
+
+
+def rigid_motions(x: Array) -> Array:
+    """Translations, then rotations about the origin, in points of shape (…, d): shape (…, d, motions)."""
+    dim = x.shape[-1]
+    motions = [np.broadcast_to(axis, x.shape) for axis in np.eye(dim)]
+    if dim == 2:
+        motions.append(np.stack([-x[..., 1], x[..., 0]], axis=-1))
+    else:
+        motions += [np.cross(axis, x) for axis in np.eye(3)]
+    return np.stack(motions, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -52,19 +63,19 @@ class Tool:
 
     def motions(self, x: Array) -> Array:
         """The motions in points of shape (…, d): shape (…, d, motions)."""
-        dim, beside = x.shape[-1], (x - self.middle) / self.size
-        motions = [np.broadcast_to(np.eye(dim)[AXES.index(axis)], x.shape) for axis in self.along]
-        if dim == 2:
-            motions += [np.stack([-beside[..., 1], beside[..., 0]], axis=-1) for _ in self.about]
-        else:
-            motions += [np.cross(np.eye(3)[AXES.index(axis)], beside) for axis in self.about]
-        return np.stack(motions, axis=-1)
+        return rigid_motions((x - self.middle) / self.size)[..., self._numbers]
+
+    @property
+    def _numbers(self) -> list[int]:
+        """The numbers of the motions among `rigid_motions`."""
+        dim, turns = len(self.middle), AXES if len(self.middle) == 3 else "z"
+        return [*map(AXES.index, self.along), *(dim + turns.index(axis) for axis in self.about)]
 
     def as_of_body(self) -> Array:
         """How it has moved as a body does: along all axes, then about all of them, in space three, in the plane one."""
-        axes, turns = AXES[: len(self.middle)], AXES if len(self.middle) == 3 else "z"
-        moved = dict(zip([*self.along, *(f"about {axis}" for axis in self.about)], self.moved, strict=True))
-        return np.array([moved.get(name, 0.0) for name in [*axes, *(f"about {axis}" for axis in turns)]])
+        moved = np.zeros(rigid_motions(self.middle).shape[1])
+        moved[self._numbers] = self.moved
+        return moved
 
     def motion(self) -> dict[str, Any]:
         """The motion of the tool for summaries: lengths along axes, angles about axes through the middle."""
@@ -117,15 +128,10 @@ def moves_along(spaces: ElasticSpaces, tools: Sequence[Tool], directions: Array)
     """
     columns = [np.zeros((*directions.shape[:2], 0))]
     for tool in tools:
-        on_tool = _facets_of(spaces, tool)[:, None, None]
-        moves = tool.motions(spaces.contact.vertices)
-        columns.append(np.where(on_tool, np.einsum("nai,nair->nar", directions, moves), 0.0))
+        rows, along = spaces.rows_on(tool.part), np.zeros((*directions.shape[:2], len(tool.load)))
+        along[rows] = np.einsum("nai,nair->nar", directions[rows], tool.motions(spaces.contact.vertices[rows]))
+        columns.append(along)
     return np.concatenate(columns, axis=2)
-
-
-def _facets_of(spaces: ElasticSpaces, tool: Tool) -> Mask:
-    """Mask of the facets of Γ_C that belong to a tool."""
-    return spaces.part_of_facet == spaces.part_names.index(tool.part)
 
 
 def normal_and_tangential(spaces: ElasticSpaces, moves: Callable[[Array], Array]) -> tuple[Array, Array]:
@@ -176,7 +182,7 @@ def unbalanced(spaces: ElasticSpaces, tools: Sequence[Tool], tractions: Array) -
     left, dim = [], spaces.dim
     mass = (1 + np.eye(dim)) / (dim * (dim + 1))
     for tool in tools:
-        rows = np.flatnonzero(_facets_of(spaces, tool))
+        rows = spaces.rows_on(tool.part)
         facets = spaces.contact.take(rows)
         pulls = np.einsum("ab,nbi,n->nai", mass, tractions[rows], facets.measure)
         done = np.einsum("nai,nair->r", pulls, tool.motions(facets.vertices))

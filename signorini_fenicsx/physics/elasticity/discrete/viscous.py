@@ -8,8 +8,9 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.discrete.vectors import VectorDatum, vector_datum_of
 from signorini_fenicsx.physics.elasticity.discrete.material import SPACE, Material, read_datum, strains_of
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import VectorDatum, facet_moments, vector_datum_of
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, PlaneState
 

@@ -13,6 +13,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.vectors import PressureDatum, VectorDatum
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.expressions.simplices import barycentric
@@ -32,7 +33,7 @@ from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillat
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.bound.tied import pulled_open
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum, facet_moments
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.quantities.beside import SHARE
 from signorini_fenicsx.quantities.bracket import Quantity

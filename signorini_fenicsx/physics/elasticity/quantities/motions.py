@@ -22,11 +22,11 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.vectors import components_of
 from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import components_of
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.quantities.beside import added, check_part

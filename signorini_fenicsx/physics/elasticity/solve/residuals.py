@@ -9,10 +9,10 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals, squares_off
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, facet_normals, linear_values
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, facet_normals, linear_values
 from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, hats_in_subcells, to_entries
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import hats_in_subcells, to_entries
 from signorini_fenicsx.physics.elasticity.discrete.material import mean_compliances
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import unbalanced
@@ -59,12 +59,12 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     volume = square = of_loads = 0.0
     stiffness = np.empty(len(spaces.order))
     missing = imbalance(spaces, data, stresses)
-    for cells in blocks_of_cells(spaces.mesh):
-        measure = Cells(spaces.vertices[cells]).measure
-        square += float((subcell_squares(data.material.seen(stresses[cells])) * measure[:, None] / (dim + 1)).sum())
-        stiffness[cells] = 1 / mean_compliances(data.compliances(spaces, cells))[0].mean(axis=1)
+    for cells in spaces.blocks():
+        numbers, measure = cells.numbers, cells.measure
+        square += float((subcell_squares(data.material.seen(stresses[numbers])) * measure[:, None] / (dim + 1)).sum())
+        stiffness[numbers] = 1 / mean_compliances(data.compliances(spaces, numbers))[0].mean(axis=1)
         volume += float(measure.sum())
-        of_loads += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
+        of_loads += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[numbers] ** 2).sum(axis=(1, 2))).sum())
     sums = np.array([volume, square, of_loads, _jumps(spaces, data, stresses)])
     volume, square, of_loads, jumps = comm.allreduce(sums).tolist()
     jumps += _left_on_tools(spaces, data, stresses)
@@ -110,10 +110,10 @@ def subcell_squares(stresses: Array) -> Array:
 def energy_squares(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
     """(𝔸σ, σ) of each owned cell, from values as in `SplitMesh.values` (collective)."""
     squares = np.empty(len(spaces.order))
-    for cells in blocks_of_cells(spaces.mesh):
-        masses = data.masses(spaces, cells, Cells(spaces.vertices[cells]).measure)
-        stress = to_entries(stresses[cells]).reshape(*masses.shape[:3], 1)
-        squares[cells] = (stress * (masses @ stress)).sum(axis=(1, 2, 3))
+    for cells in spaces.blocks():
+        masses = data.masses(spaces, cells)
+        stress = to_entries(stresses[cells.numbers]).reshape(*masses.shape[:3], 1)
+        squares[cells.numbers] = (stress * (masses @ stress)).sum(axis=(1, 2, 3))
     return squares
 
 
@@ -121,13 +121,12 @@ def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Arra
     """Moments of ∇·σ + f against the hats of the cells' vertices, over |T|, shape (cells, d + 1, d)."""
     dim = spaces.dim
     left = np.empty((len(spaces.order), dim + 1, dim))
-    for numbers in blocks_of_cells(spaces.mesh):
-        cells = Cells(spaces.vertices[numbers])
+    for cells in spaces.blocks():
         volume = cells.measure / (dim + 1)
-        divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], cells.hat_gradients)
+        divergence = np.einsum("nsvij,nsvj->nsi", stresses[cells.numbers], cells.hat_gradients)
         moments = np.einsum("vs,nsi->nvi", hats_in_subcells(dim), divergence)
-        moments += data.moments_of_f(spaces, numbers, cells.measure)
-        left[numbers] = moments / (volume * (dim + 1))[:, None, None]
+        moments += data.moments_of_f(spaces, cells)
+        left[cells.numbers] = moments / (volume * (dim + 1))[:, None, None]
     return left
 
 
@@ -203,9 +202,7 @@ def balance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[
     box = spaces.domain.box()[:, : spaces.dim]
     everything = [spaces.contact, spaces.across, spaces.neumann, spaces.dirichlet]
     pairs = [(facets.vertices, _pulls(spaces, stresses, facets)) for facets in everything]
-    for cells in blocks_of_cells(spaces.mesh):
-        x = spaces.vertices[cells]
-        pairs.append((x, data.moments_of_f(spaces, cells, Cells(x).measure)))
+    pairs += [(cells.vertices, data.moments_of_f(spaces, cells)) for cells in spaces.blocks()]
     total = np.sum([_wrench(x - box.mean(axis=0), forces) for x, forces in pairs], axis=0)
     size = sum(float(np.abs(forces).sum()) for _, forces in pairs)
     *left, size = spaces.mesh.comm.allreduce(np.append(total, size))

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, means_of_linear
+from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.pairing import MeshPair
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells
@@ -22,6 +22,7 @@ from signorini_fenicsx.physics.elasticity.discrete.tools import (
     means_at_sites,
     moves_along,
     normal_and_tangential,
+    rigid_motions,
     tools_at,
 )
 from signorini_fenicsx.physics.elasticity.solve.motion_limits import FREE, SLACK, Limits
@@ -166,17 +167,6 @@ def is_free(comm: MPI.Comm, means: Array) -> bool:
     return bool(sizes[0] <= max(HELD, ROUNDING * sizes[-1]))
 
 
-def _motions(x: Array) -> Array:
-    """Translations, then rotations about the origin."""
-    dim = x.shape[-1]
-    motions = [np.broadcast_to(axis, x.shape) for axis in np.eye(dim)]
-    if dim == 2:
-        motions.append(np.stack([-x[..., 1], x[..., 0]], axis=-1))
-    else:
-        motions += [np.cross(axis, x) for axis in np.eye(3)]
-    return np.stack(motions, axis=-1)
-
-
 @dataclass(frozen=True)
 class RigidBodies:
     """The rigid motions of all bodies: for each body the translations, then the rotations about the middle.
@@ -207,7 +197,7 @@ class RigidBodies:
 
     def _moved(self, x: Array) -> Array:
         """The basis of the motions of one body in points of shape (…, d): shape (…, d, motions)."""
-        return _motions((x - self.middle) / self.size)
+        return rigid_motions((x - self.middle) / self.size)
 
     def _summed(self, of: Indices, rows: Array) -> Array:
         """The sums of rows over each body, shape (bodies, …) (collective)."""
@@ -303,10 +293,9 @@ class RigidBodies:
         pairs = [(self.of_cell[neumann.cells], neumann.vertices, data.tractions)]
         beside = (pull for pull in data.pulls if not np.isin(pull.facets.facets, neumann.facets).any())
         pairs += [(self.of_cell[pull.facets.cells], pull.facets.vertices, pull.moments) for pull in beside]
-        for cells in blocks_of_cells(spaces.mesh):
-            vertices = spaces.vertices[cells]
-            moments = data.moments_of_f(spaces, cells, Cells(vertices).measure)
-            pairs.append((self.of_cell[cells], vertices, moments))
+        pairs += [
+            (self.of_cell[cells.numbers], cells.vertices, data.moments_of_f(spaces, cells)) for cells in spaces.blocks()
+        ]
         rows = [np.einsum("nvi,nvir->nr", moments, self._moved(x)) for _, x, moments in pairs]
         work = self._summed(np.concatenate([of for of, _, _ in pairs]), np.concatenate(rows)).ravel()
         most = spaces.mesh.comm.allreduce(sum(float(np.abs(moments).sum()) for _, _, moments in pairs))

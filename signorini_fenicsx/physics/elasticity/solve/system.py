@@ -57,8 +57,8 @@ class ElasticSystem(HybridSystem):
         """Go on with other data; False if these have another matrix (collective)."""
         before = self._digests
         self._take(data)
-        for numbers in blocks_of_cells(self.spaces.mesh):
-            self._of_cells(numbers, Cells(self.spaces.vertices[numbers]).measure)
+        for cells in self.spaces.blocks():
+            self._of_cells(cells)
         same = np.array([one.digest() == other.digest() for one, other in zip(before, self._digests, strict=True)])
         self.spaces.mesh.comm.Allreduce(MPI.IN_PLACE, same, MPI.LAND)
         if same[0] and not same[1]:
@@ -67,11 +67,6 @@ class ElasticSystem(HybridSystem):
         if same[0]:
             self._take_loads()
         return bool(same[0])
-
-    @property
-    def lift(self) -> Array:
-        """See `TraceSystem.lift`."""
-        return self._data.lift
 
     def _take_loads(self) -> None:
         """Find the right side (collective)."""
@@ -86,15 +81,15 @@ class ElasticSystem(HybridSystem):
         self.load = self.load_of(self._blocks, data.lift) + self.tractions + self.of_supports(moving.ravel())
         if self.mean is not None:
             self.load -= self.pulls_of_means(self.mean.values)
-            self.mean.grown = np.concatenate([data.growth(spaces, cells) for cells in blocks_of_cells(spaces.mesh)])
+            self.mean.grown = np.concatenate([data.growth(spaces, cells) for cells in spaces.blocks()])
         given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
         self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
 
-    def _of_cells(self, numbers: npt.NDArray[np.int32], measure: Array) -> tuple[Array, Array, Array | None]:
-        """The compliances of cells with these |T|, their moments of f and those of strains, if any (collective)."""
+    def _of_cells(self, cells: Cells) -> tuple[Array, Array, Array | None]:
+        """The compliances of cells, their moments of f and those of strains, if any (collective)."""
         spaces, data, (of_matrix, of_loads) = self.spaces, self._data, self._digests
-        compliances, of_f = data.compliances(spaces, numbers), data.moments_of_f(spaces, numbers, measure)
-        strains = data.strains(spaces, numbers, measure) if data.material.strains else None
+        compliances, of_f = data.compliances(spaces, cells.numbers), data.moments_of_f(spaces, cells)
+        strains = data.strains(spaces, cells) if data.material.strains else None
         of_matrix.update(compliances.tobytes())
         for loads in (of_f, of_f[:0] if strains is None else strains):
             of_loads.update(loads.tobytes())
@@ -145,13 +140,13 @@ class ElasticSystem(HybridSystem):
             moments: (f, φ_v) of each cell, shape (cells, d + 1, d).
         """
         spaces, data = self.spaces, self._data
-        for numbers in blocks_of_cells(spaces.mesh):
-            cells = Cells(spaces.vertices[numbers])
+        for cells in spaces.blocks():
+            numbers = cells.numbers
             if stresses is None or moments is None:
-                compliances, of_f, strains = self._of_cells(numbers, cells.measure)
+                compliances, of_f, strains = self._of_cells(cells)
             else:
                 compliances, of_f, strains = data.compliances(spaces, numbers), moments[numbers], None
-            masses = data.masses(spaces, numbers, cells.measure, compliances)
+            masses = data.masses(spaces, cells, compliances)
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             basis = cells.stresses(self.element.stresses)
@@ -168,7 +163,7 @@ class ElasticSystem(HybridSystem):
             spaces.to_unknowns(tractions, numbers)
             balance = -np.linalg.solve(cells.derivative, of_f.transpose(0, 2, 1)).transpose(0, 2, 1)
             balance = balance.reshape(len(numbers), -1)
-            eliminated = eliminate(numbers, cells, tractions, product, balance, functional)
+            eliminated = eliminate(cells, tractions, product, balance, functional)
             _add_supports(eliminated.matrix, data.supports, numbers)
             yield eliminated
 
@@ -180,12 +175,12 @@ class ElasticSystem(HybridSystem):
         count, dim = len(self.spaces.order), self.spaces.dim
         sigma, u = np.empty((count, dim + 1, dim + 1, dim, dim)), np.empty((count, dim + 1, dim))
         for block, of_stress, of_u in parts:
-            cells = block.geometry
+            cells = block.cells
             on_reference = np.tensordot(of_stress, self.element.stresses, (1, 2))
             mapped = to_matrices(on_reference @ cells.mapped.swapaxes(1, 2))
-            sigma[block.cells] = mapped.reshape(-1, dim + 1, dim + 1, dim, dim)
+            sigma[cells.numbers] = mapped.reshape(-1, dim + 1, dim + 1, dim, dim)
             pulled = of_u.reshape(-1, dim + 1, dim).transpose(0, 2, 1)
-            u[block.cells] = np.linalg.solve(cells.derivative.transpose(0, 2, 1), pulled).transpose(0, 2, 1)
+            u[cells.numbers] = np.linalg.solve(cells.derivative.transpose(0, 2, 1), pulled).transpose(0, 2, 1)
         return sigma, u
 
     def of_supports(self, x: Array) -> Array:

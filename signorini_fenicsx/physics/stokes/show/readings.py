@@ -7,9 +7,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, opposite
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.expressions.simplices import barycentric_gradients
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, reference, split_vertices, to_entries
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import reference, split_vertices, to_entries
 from signorini_fenicsx.physics.elasticity.show.readings import largest_of
 
 
@@ -27,9 +27,8 @@ def traces(solution: Any) -> Array:
     spaces, dim = solution.spaces, solution.spaces.dim
     element, u = reference(dim), spaces.displacement_values(solution.u)
     found: Array = u[:, opposite(dim)]
-    for numbers in blocks_of_cells(spaces.mesh):
-        cells = Cells(spaces.vertices[numbers])
-        masses = solution.data.masses(spaces, numbers, cells.measure)
+    for cells in spaces.blocks():
+        numbers, masses = cells.numbers, solution.data.masses(spaces, cells)
         basis = cells.stresses(element.stresses)
         stress = to_entries(solution.stresses[numbers])
         strained = (masses @ stress.reshape(*masses.shape[:3], 1)).reshape(stress.shape)
