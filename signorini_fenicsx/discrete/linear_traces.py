@@ -112,6 +112,11 @@ class Hats:
         """A selection of the facets or cells."""
         return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
 
+    def of_linear(self, values: Array) -> Array:
+        """∫ f φ_a over each of them, of functions that are linear by their values at the vertices, shape as these."""
+        shares = self.measure / self.ranking.shape[1]
+        return np.asarray(np.einsum("n,na...->na...", shares, means_of_linear(values)))
+
     def moments(self, values: Array, points: Array, weights: Array) -> Array:
         """∫ value φ_a over each of them, shape (n, its vertices, …), from values in points of the reference one."""
         hats = np.column_stack([1 - points.sum(axis=1), points])

@@ -261,8 +261,7 @@ def rt1_data(spaces: RT1Spaces, data: Data) -> RT1Data:
     lift.x.array[sites.unknown] = laws.p_h
     lift.x.scatter_forward()
     given_flux = _linear(spaces, data.g_N, spaces.neumann)
-    share = spaces.neumann.measure[:, None] / spaces.dim
-    load.array[spaces.unknowns(spaces.neumann)] = share * means_of_linear(given_flux)
+    load.array[spaces.unknowns(spaces.neumann)] = spaces.neumann.of_linear(given_flux)
     load.array[sites.unknown] = sites.measure * laws.flux_h
     owned = spaces.dim * spaces.traces.dofmap.index_map.size_local
     given = {name: getattr(data, name) for name in data.__dataclass_fields__}

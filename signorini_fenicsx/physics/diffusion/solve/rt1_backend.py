@@ -70,7 +70,7 @@ class VertexBackend(DataBackend):
         added = np.where(where, -iterate.flux, 0.0).reshape(-1, dim)
         cells, row = np.unique(contact.cells, return_inverse=True)
         moments, places = np.zeros((len(cells), dim + 1, dim)), (row, contact.local)
-        moments[places] = contact.measure[:, None] / dim * means_of_linear(added)
+        moments[places] = contact.of_linear(added)
         shapes, basis = Cells(spaces.vertices[cells], cells), reference(dim).nodal[:, : dim * (dim + 1)]
         change = moments.reshape(-1, dim * (dim + 1)) @ basis.T
         sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, shapes)

@@ -162,7 +162,8 @@ class VertexSystem(SoilTraces, HybridSystem):
         functionals = self._data.by_kappa(self.spaces, sigma)
         found = np.zeros((len(sigma), (self.spaces.dim + 1) * self.spaces.dim, functionals.shape[2]))
         for block in self._blocks:
-            found[block.cells] = block.flux.transpose(0, 2, 1) @ functionals[block.cells, : block.flux.shape[1]]
+            cells = block.cells.numbers
+            found[cells] = block.flux.transpose(0, 2, 1) @ functionals[cells, : block.flux.shape[1]]
         return found
 
     def of_cells(self, matrices: Array) -> PETSc.Mat:

@@ -200,8 +200,7 @@ def add_tractions(spaces: ElasticSpaces, moments: Array, pulled: Array, load: la
     size, contact = spaces.dim**2, spaces.contact
     by_block = load.array.reshape(-1, size)
     by_block[spaces.neumann.blocks] = moments.reshape(-1, size)
-    mass = (1 + np.eye(spaces.dim)) / (spaces.dim * (spaces.dim + 1))
-    by_block[contact.blocks] = np.einsum("n,ab,nbi->nai", contact.measure, mass, pulled).reshape(-1, size)
+    by_block[contact.blocks] = contact.of_linear(pulled).reshape(-1, size)
     (contact, matrices), _, *fixed = spaces.frames
     by_block[contact.blocks] = np.einsum("nij,ni->nj", matrices, by_block[contact.blocks])
     for part, matrices in fixed:

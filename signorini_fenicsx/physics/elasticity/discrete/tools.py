@@ -179,13 +179,11 @@ def tools_at(tools: Sequence[Tool], moves: Array, *, anew: bool = False) -> tupl
 
 def unbalanced(spaces: ElasticSpaces, tools: Sequence[Tool], tractions: Array) -> list[tuple[Tool, Array]]:
     """What is left of the forces on each tool by the tractions at the vertices of Γ_C (collective)."""
-    left, dim = [], spaces.dim
-    mass = (1 + np.eye(dim)) / (dim * (dim + 1))
+    left = []
     for tool in tools:
         rows = spaces.rows_on(tool.part)
         facets = spaces.contact.take(rows)
-        pulls = np.einsum("ab,nbi,n->nai", mass, tractions[rows], facets.measure)
-        done = np.einsum("nai,nair->r", pulls, tool.motions(facets.vertices))
+        done = np.einsum("nai,nair->r", facets.of_linear(tractions[rows]), tool.motions(facets.vertices))
         left.append((tool, tool.load - spaces.mesh.comm.allreduce(done)))
     return left
 

@@ -59,8 +59,7 @@ def _of_part(solution: ElasticSolution, part: int, pressures: Array) -> dict[str
     comm, dim = spaces.mesh.comm, spaces.dim
     rows = np.flatnonzero(spaces.part_of_facet == part)
     contact, pressure = spaces.contact.take(rows), pressures[rows]
-    mass = (1 + np.eye(dim)) / (dim * (dim + 1))
-    weights = contact.measure[:, None] * (pressure @ mass)  # ∫ pφ_a
+    weights = contact.of_linear(pressure)  # ∫ pφ_a
     moments = np.einsum("na,nai->i", weights, contact.vertices)
     area = solution.touching[rows].sum(axis=1) @ contact.measure / dim
     *center, force, area = comm.allreduce(np.array([*moments, weights.sum(), area])).tolist()

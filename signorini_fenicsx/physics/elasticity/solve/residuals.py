@@ -189,7 +189,8 @@ def resultants(spaces: ElasticSpaces, stresses: Array) -> dict[str, Array]:
     forces = {}
     for name in spaces.domain.parts:
         part = spaces.part(name)
-        forces[name] = spaces.mesh.comm.allreduce(_wrench(part.vertices, _pulls(spaces, stresses, part)))
+        pulls = part.of_linear(spaces.tractions(part, stresses))
+        forces[name] = spaces.mesh.comm.allreduce(_wrench(part.vertices, pulls))
     return forces
 
 
@@ -201,21 +202,13 @@ def balance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[
     """
     box = spaces.domain.box()[:, : spaces.dim]
     everything = [spaces.contact, spaces.across, spaces.neumann, spaces.dirichlet]
-    pairs = [(facets.vertices, _pulls(spaces, stresses, facets)) for facets in everything]
+    pairs = [(facets.vertices, facets.of_linear(spaces.tractions(facets, stresses))) for facets in everything]
     pairs += [(cells.vertices, data.moments_of_f(spaces, cells)) for cells in spaces.blocks()]
     total = np.sum([_wrench(x - box.mean(axis=0), forces) for x, forces in pairs], axis=0)
     size = sum(float(np.abs(forces).sum()) for _, forces in pairs)
     *left, size = spaces.mesh.comm.allreduce(np.append(total, size))
     lengths = np.where(np.arange(len(left)) < spaces.dim, 1.0, np.ptp(box, axis=0).max())
     return np.array(left), float(np.abs(left / lengths).max() / size) if size > 0 else 0.0
-
-
-def _pulls(spaces: ElasticSpaces, stresses: Array, facets: BoundaryFacets) -> Array:
-    """∫ σn φ_a over facets of this rank, shape (facets, d, d)."""
-    dim = spaces.dim
-    mass = (1 + np.eye(dim)) / (dim * (dim + 1))
-    pulls: Array = np.einsum("ab,nbi,n->nai", mass, spaces.tractions(facets, stresses), facets.measure)
-    return pulls
 
 
 def _wrench(vertices: Array, moments: Array) -> Array:
