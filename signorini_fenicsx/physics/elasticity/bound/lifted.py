@@ -60,7 +60,7 @@ OF_BODIES, OF_FLUIDS = 2, 3
 """Degree of v; of a fluid it has to be so high that ∇·v can be 0."""
 WITH_MEAN = 1 + math.sqrt(12) / (3 * math.pi)
 """How much larger ‖r‖ may be with a p that has the mean of t."""
-SHARE = 0.05
+SHARE = 1e-3
 """The bound of ‖r‖² may be too large by this share of itself,"""
 ROUNDING = 1e-9
 """and that of ‖r‖ by this share of the derivative of t; else facets are cut."""
