@@ -64,6 +64,7 @@ def test_cylinders_of_unequal_materials():
     assert solution.pressure.max() == pytest.approx(p0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_mindlin_in_space():
     """A sphere that is pressed and pushed: pressure, shear, what sticks and how far it goes, within some per cent."""
     law = {"kind": "friction", "parts": ["contact"], "mu": MU, "gap": "(x^2 + y^2)/16"}

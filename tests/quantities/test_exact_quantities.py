@@ -46,8 +46,9 @@ def test_kinks_on_the_boundary():
 
 
 @pytest.mark.parametrize("parts", ["left", ["left", "bottom"]])
-def test_force_of_a_load_with_a_kink(parts: str | list[str]):
+def test_force_of_a_load_with_a_kink(parts: str | list[str], monkeypatch: pytest.MonkeyPatch):
     """On all that holds a body the force, or the moment, is that of loads that quadrature does not integrate."""
+    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 6)  # more find nothing but rounding
     below = Contact("bottom", gap=0.01) if "bottom" in parts else Neumann("bottom")
     conditions = [below, Dirichlet("left", [0, 0]), Neumann("top", ["abs(x - 0.37)", 0]), Neumann("right")]
     solution = solve(square(3), Elasticity(1.0, 0.3, f=["0.5*abs(x - 0.43)", "0.1"], conditions=conditions))
