@@ -97,7 +97,10 @@ def test_parts_inside_the_domain(name: str, most: float):
     assert errors["energy"] < certificate.sigma_bound < most * errors["energy"]
 
 
-@pytest.mark.parametrize(("seed", "jumps", "most"), [(9, "across", 1.4), (11, "aligned", 1.4)])
+@pytest.mark.parametrize(
+    ("seed", "jumps", "most"),
+    [(9, "across", 1.4), (11, "aligned", 1.4), pytest.param(0, "aligned", 2.5, marks=pytest.mark.slow)],  # 0: in space
+)
 def test_random_problems(seed: int, jumps: str, most: float):
     """Against solutions on the mesh refined twice, with waves for all data; κ jumps by 1e6, also within cells."""
     row = examine(seed, jumps, COMM, "RT1")
