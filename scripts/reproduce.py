@@ -16,6 +16,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import figures
@@ -91,9 +92,13 @@ def items() -> dict[str, Item]:
     return {name: by_name[name] for name in names}
 
 
+declared = cache(load_study)
+"""A declared study, read once."""
+
+
 def runs_of(item: Item, *, quick: bool) -> list[Run]:
     """The runs of an item."""
-    runs = [run for name in item.studies for run in load_study(name)[1] if item.selects(run)]
+    runs = [run for name in item.studies for run in declared(name)[1] if item.selects(run)]
     return [coarser(run) for run in runs] if quick else runs
 
 

@@ -47,6 +47,9 @@ ENOUGH = 0.98
 NEAR, AHEAD = 1.5, 2
 """In each direction the search ends with an interval that is so many times as long as the best, or after so many that
 gain nothing: where sets of contact change between two τ, one of them may be longer than its neighbours."""
+KNOWN = 1e-8
+"""The search also ends with an interval that is at most this share of its ends: then they are known but for rounding,
+and each smaller τ would make it shorter."""
 FARTHER = 3.0
 """An interval that is so many times as long as that of a problem nearby has another τ."""
 PASSES = "passes where the pressure is negative, in soil that is taken for saturated"
@@ -179,6 +182,11 @@ class Ends:
         """The distance of the ends of the interval."""
         return self.upper - self.lower
 
+    @property
+    def known(self) -> bool:
+        """Whether no other τ needs to be tried."""
+        return self.width <= KNOWN * max(abs(self.lower), abs(self.upper))
+
 
 def power_of_two(number: float) -> float:
     """The power of two that is nearest to a positive number."""
@@ -222,7 +230,7 @@ def bracket(
         tau = first
     for factor in (0.5, 2.0) if math.isfinite(width(tau)) and not (near and alone) else ():
         ahead, misses = tau * factor, 0
-        while misses < AHEAD and len(tried) < MOST and width(ahead) < NEAR * width(tau):
+        while not tried[tau].known and misses < AHEAD and len(tried) < MOST and width(ahead) < NEAR * width(tau):
             if width(ahead) < ENOUGH * width(tau):
                 tau, misses = ahead, 0
             else:

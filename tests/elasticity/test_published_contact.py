@@ -92,6 +92,7 @@ def test_a_plate_of_code_aster():
     assert u[-1] == pytest.approx(1.541e-5, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_bounds_of_published_values(capsys: pytest.CaptureFixture[str]):
     """On a coarse mesh the interval of a mean holds what a fine one gives, and is narrow."""
     _, _, mean = next(plate_values(2560))

@@ -97,6 +97,18 @@ def test_the_search_goes_far_and_beyond_a_longer_one():
     assert bracket(ends, 1.0, 0.0).width == 2.0**-11
 
 
+def test_the_search_ends_where_a_quantity_is_known():
+    """Where each smaller τ gives a shorter interval, because the quantity is known but for rounding."""
+    tried = list[float]()
+
+    def ends(tau: float) -> Ends:
+        tried.append(tau)
+        return Ends(1.0, 1 + 1e-3 * tau, 1.0, "")
+
+    assert 0 < bracket(ends, 1.0, 1.0).width <= 1e-8
+    assert min(tried) == 2.0**-17
+
+
 def test_design_order():
     """The mean of u over one half with a load that changes sign: the interval shrinks with order 4/3."""
     problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom")])
