@@ -4,6 +4,7 @@ import boxes
 import dolfinx.mesh
 import numpy as np
 import ufl
+from dolfinx.mesh import DiagonalType
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
@@ -14,12 +15,12 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
-def box(comm: MPI.Comm, n: int, low: list[float], high: list[float]) -> Domain:
+def box(comm: MPI.Comm, n: int, low: list[float], high: list[float], **cut: DiagonalType) -> Domain:
     """A rectangle or a box with n cells along its shortest edge; its parts are named by "xyz" and the end, as "y0"."""
     size = np.array(high) - low
     cells = np.round(n * size / size.min()).astype(int).tolist()
     make = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[len(low)]
-    mesh = make(comm, [low, high], cells)
+    mesh = make(comm, [low, high], cells, **cut)
     parts = {}
     for axis, name in enumerate("xyz"[: len(low)]):
         for end, place in enumerate((low[axis], high[axis])):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import ufl
 from commands import read_rows, signorini
+from dolfinx.mesh import DiagonalType
 from elastic import box, stress
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -128,6 +129,16 @@ def test_coulomb_with_a_large_number(mu: float, push: float, nu: float):
     moves = np.abs(slip) > 1e-9
     np.testing.assert_allclose((shear + np.sign(slip) * mu * pressure)[moves], 0.0, atol=1e-8 * mu * largest)
     assert COMM.allreduce(int(moves.sum())) > 5
+
+
+def test_slip_to_the_left_and_to_the_right():
+    """Newton's steps are those of the mirror image, also where a vertex that was open is pressed and slips."""
+    domain, changes = box(COMM, 8, [0.0, 0.0], [2.0, 1.0], diagonal=DiagonalType.crossed), []
+    for push in (0.3, -0.3):
+        rough = [Contact("y0", friction=Coulomb(2.0)), Neumann(["x0", "x1"], 0)]
+        changes.append(solve(domain, Elasticity(1.0, 0.3, u_D=[push, -0.05], conditions=rough)).bound_changes)
+    assert len(changes[0]) <= 5
+    np.testing.assert_allclose(*changes, rtol=1e-6, atol=1e-9)
 
 
 def test_the_path_and_newton_find_the_same(monkeypatch: pytest.MonkeyPatch):

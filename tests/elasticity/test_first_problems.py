@@ -51,8 +51,7 @@ def test_a_block_that_rests_on_friction(friction: Tresca | Coulomb):
     load, free = Neumann("top", ["0", "-5e-5"]), Neumann(["left", "right"], ["0", "0"])
     solution = solve(domain, Elasticity(5.0, 0.2, f=["0", "-5e-8"], conditions=[below, load, free]))
     assert solution.resultants()["bottom"][:2] == pytest.approx([0, 40 * 5e-5 + 400 * 5e-8], abs=1e-12)
-    by_descent = "by descent on weak springs from iteration" in solution.outcome.reason
-    assert by_descent == isinstance(friction, Tresca)
+    assert "by descent on weak springs from iteration" in solution.outcome.reason
 
 
 @pytest.mark.parametrize("tilt", [0, 30, -9])

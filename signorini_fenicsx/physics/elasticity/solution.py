@@ -206,8 +206,8 @@ class ElasticSolution(Solution):
 
     @property
     def _states_or_open(self) -> Indices:
-        """Index into `STATES`: open is what neither is in contact nor has a bound of the shear, as in Coulomb's law."""
-        is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.bound == 0)
+        """Index into `STATES`: open is what has no contact where pressure alone gives a bound, as in Coulomb's law."""
+        is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.given == 0)
         return np.where(is_open, STATES.index("open"), self.states)
 
     def on_all_contact(self) -> tuple[Array, Array, Array]:

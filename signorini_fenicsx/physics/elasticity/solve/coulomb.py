@@ -220,7 +220,8 @@ def balanced[S: FoundSets](
             step = np.zeros_like(following.bound)
         elif left < least or share <= SHORTEST:
             accepted, least, share = present, left, 1.0
-            segments = present.chains.segments(spaces.site_kinds["slip"].of(outcome.conditions))
+            slip, (p, flux) = spaces.site_kinds["slip"], (outcome.iterate.p, outcome.iterate.flux)
+            segments = present.chains.segments(slip.of(outcome.conditions), (slip.of(p), slip.of(flux)))
             law = present.directions(segments), present.slope(spaces.pressure_of(outcome.iterate.flux))
             enough = EXACT
             if roughly:
