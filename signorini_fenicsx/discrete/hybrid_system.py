@@ -91,12 +91,11 @@ def copies(
 
 
 @dataclass(frozen=True)
-class Eliminated:
+class Eliminated[Cells]:
     """Some cells after elimination. x are the unknowns of a cell's facets, and the way back is affine in them.
 
     Attributes:
-        cells: Which cells.
-        geometry: Their shapes, as `HybridSystem.fields` needs them.
+        cells: The cells, of the class that the element has.
         matrix: Shape (cells, n, n); `kept` cells have none, as it is assembled.
         load: What f adds to the right side, shape (cells, n).
         flux: Coefficients of σ for each unknown, shape (cells, basis, n), or of the fluxes of divergence 0 alone, where
@@ -106,7 +105,7 @@ class Eliminated:
         u_of_f: Those without x, shape (cells, m).
     """
 
-    cells: Any
+    cells: Cells
     matrix: Array
     load: Array
     flux: Array
@@ -114,25 +113,24 @@ class Eliminated:
     u: Array
     u_of_f: Array
 
-    def kept(self) -> "Eliminated":
+    def kept(self) -> "Eliminated[Cells]":
         """What it takes to recover, without the matrix."""
         return replace(self, matrix=np.empty(0))
 
 
-def eliminate(
-    cells: Any,
+def eliminate[Cells](
+    cells: Cells,
     tractions: Array,
     product: Array,
     balance: Array,
     functional: Array | float = 0.0,
     reaction: Array | None = None,
     held: tuple[Mask, Array] | None = None,
-) -> Eliminated:
+) -> Eliminated[Cells]:
     """Eliminate all but the traces.
 
     Args:
-        cells: The numbers of the cells.
-        geometry: Their shapes.
+        cells: The cells, of the class that the element has.
         tractions: ⟨q, τn⟩ of each flux of the basis for each unknown q of the traces, shape (cells, n, basis).
         product: (κ⁻¹τ, τ'), shape (cells, basis, basis).
         balance: The coefficients that f gives, those of the last fluxes of the basis, shape (cells, m).
@@ -179,9 +177,9 @@ def responses(product: Array, number: int) -> tuple[Array, Array]:
     return by_unit, product[:, free:, free:] + coupled @ by_unit
 
 
-def _with_reaction(
-    without: Eliminated, product: Array, balance: Array, reaction: Array, held: Mask, values: Array
-) -> Eliminated:
+def _with_reaction[Cells](
+    without: Eliminated[Cells], product: Array, balance: Array, reaction: Array, held: Mask, values: Array
+) -> Eliminated[Cells]:
     """`eliminate` with −(∇·σ, v) + (cu, v) = (f, v), from the same without f and c.
 
     The coefficients that ∇·σ gives depend on u.
@@ -285,7 +283,7 @@ class HybridSystem(TraceSystem):
 
     def _assembled(self) -> PETSc.Mat:
         """Eliminate, and assemble the matrix (collective)."""
-        self._blocks = list[Eliminated]()
+        self._blocks = list[Eliminated[Any]]()
         return self.sum_of(self._parts())
 
     def assemble_again(self) -> None:
@@ -301,11 +299,11 @@ class HybridSystem(TraceSystem):
             yield self._dofs[block.cells.numbers], block.matrix
 
     @abstractmethod
-    def eliminated(self, *loads: Any) -> Iterator[Eliminated]:
+    def eliminated(self, *loads: Any) -> Iterator[Eliminated[Any]]:
         """The cells after elimination, with the data or other right sides, see `respond` (collective)."""
 
     @abstractmethod
-    def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
+    def fields(self, parts: Iterable[tuple[Eliminated[Any], Array, Array]]) -> tuple[Array, Array]:
         """σ and u of all cells from their coefficients, block by block."""
 
     @abstractmethod
@@ -317,7 +315,7 @@ class HybridSystem(TraceSystem):
         self._blocks = []  # both would take twice the memory
         self._blocks = [block.kept() for block in self.eliminated()]
 
-    def load_of(self, blocks: Sequence[Eliminated], lift: Array | None = None) -> Array:
+    def load_of(self, blocks: Sequence[Eliminated[Any]], lift: Array | None = None) -> Array:
         """The right side for x − lift, without given fluxes: owned entries (collective)."""
         of_cells = np.zeros((len(self._dofs), self._dofs.shape[1] * self._size))
         for block in blocks:
@@ -326,7 +324,7 @@ class HybridSystem(TraceSystem):
         return forces if lift is None else forces - image_of(self.matrix, lift[: len(forces)])
 
     def recover(
-        self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None
+        self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated[Any]] | None = None
     ) -> tuple[Array, Array]:
         """σ and u as `fields` gives them, from all unknowns of this rank.
 
@@ -337,7 +335,7 @@ class HybridSystem(TraceSystem):
         """
         x = self.sides.values(x)
 
-        def parts() -> Iterator[tuple[Eliminated, Array, Array]]:
+        def parts() -> Iterator[tuple[Eliminated[Any], Array, Array]]:
             for block in self._blocks if blocks is None else blocks:
                 traces = x[self._unknowns(block.cells.numbers)]
                 flux, varying = with_f * block.flux_of_f, block.flux.shape[1]

@@ -61,7 +61,7 @@ class VertexSystem(SoilTraces, HybridSystem):
         self._take_loads()
         return True
 
-    def eliminated(self, functional: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
+    def eliminated(self, functional: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated[Cells]]:
         """The cells after elimination, with the data or another right side (collective).
 
         Args:
@@ -92,7 +92,7 @@ class VertexSystem(SoilTraces, HybridSystem):
         of_sigma: Array | float,
         reaction: Array | None,
         laws: InCells,
-    ) -> Eliminated:
+    ) -> Eliminated[Cells]:
         """Eliminate cells with laws in Ω, with u in the basis dual to the hats, and fluxes dual to that.
 
         With X from means by the hats to values at the vertices u = Xû, and the fluxes have moments of ∇· against the
@@ -172,7 +172,7 @@ class VertexSystem(SoilTraces, HybridSystem):
         self.spaces.to_unknowns(transposed, np.arange(len(matrices), dtype=np.int32))
         return self.sum_of([(self._dofs, transposed.transpose(0, 2, 1))])
 
-    def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
+    def fields(self, parts: Iterable[tuple[Eliminated[Cells], Array, Array]]) -> tuple[Array, Array]:
         """σ at the nodes and u at the vertices of the cells, shapes (cells, nodes, d) and (cells, d + 1)."""
         count, dim = len(self.spaces.order), self.spaces.dim
         sigma, u = np.empty((count, len(reference(dim).at_nodes), dim)), np.empty((count, dim + 1))

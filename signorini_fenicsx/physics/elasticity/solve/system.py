@@ -123,7 +123,7 @@ class ElasticSystem(HybridSystem):
         return sigma, u, x
 
     def recover(
-        self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None
+        self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated[Cells]] | None = None
     ) -> tuple[Array, Array]:
         """σ and u as `HybridSystem.recover` gives them, with the mean pressures that are given."""
         sigma, u = super().recover(x, with_f=with_f, blocks=blocks)
@@ -131,7 +131,7 @@ class ElasticSystem(HybridSystem):
             sigma += self.mean.values[:, None, None, None, None] * np.eye(self.spaces.dim)
         return sigma, u
 
-    def eliminated(self, stresses: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
+    def eliminated(self, stresses: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated[Cells]]:
         """The cells after elimination, with the data or another right side (collective).
 
         Args:
@@ -167,7 +167,7 @@ class ElasticSystem(HybridSystem):
             _add_supports(eliminated.matrix, data.supports, numbers)
             yield eliminated
 
-    def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
+    def fields(self, parts: Iterable[tuple[Eliminated[Cells], Array, Array]]) -> tuple[Array, Array]:
         """σ at the vertices of the subcells and u at those of the cells.
 
         Shapes (cells, d + 1, d + 1, d, d) and (cells, d + 1, d), with the vertices as in `ElasticSpaces.order`.
