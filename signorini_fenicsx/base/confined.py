@@ -34,7 +34,8 @@ LARGEST_RESULT = 2**34
 LEAST_MEMORY = 2**31
 """Bytes of memory that the process may use even if less is free."""
 SLOW = f"takes more than {SECONDS} s to read or to mesh, the limit for one file"
-FOLDER = "signorini-"
+FOLDER = ".signorini_fenicsx-read-"
+"""Beginning of the names of its working folders; such that no folder of the user has it."""
 KEPT = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH")
 """Variables of the environment by which libraries are found."""
 LAST_WORDS = 4096

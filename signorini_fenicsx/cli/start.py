@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import signal
 import sys
 
 NEEDED = ("mpi4py", "petsc4py", "dolfinx")
@@ -12,8 +13,9 @@ def main() -> None:
     """Entry point; exit status 2 without DOLFINx, or without a home, in which DOLFINx keeps compiled forms.
 
     On several ranks NumPy and MUMPS have one thread each, unless OMP_NUM_THREADS says otherwise: the threads of one
-    rank would wait for those of another one.
+    rank would wait for those of another one. Until the program listens to signals, SIGINT just ends it.
     """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         sys.stderr.write(

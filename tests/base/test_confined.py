@@ -31,18 +31,20 @@ def test_a_sealed_process_touches_nothing(tmp_path: Path):
 
 
 def test_what_killed_processes_left_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Their folders, once they are older than any process may be; links and younger ones stay."""
+    """Their folders, once they are older than any process may be; links, younger ones and the user's stay."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     long_ago = time.time() - 3 * confined.SECONDS
-    for name, when in (("signorini-old", long_ago), ("signorini-new", time.time()), ("others-old", long_ago)):
+    old, new, link = (f"{confined.FOLDER}{name}" for name in ("old", "new", "link"))
+    users = ("signorini-results", "signorini_fenicsx", "others")
+    for name, when in ({old: long_ago, new: time.time()} | dict.fromkeys(users, long_ago)).items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "file").touch()
         os.utime(tmp_path / name, (when, when))
-    (tmp_path / "signorini-link").symlink_to("others-old")
-    os.utime(tmp_path / "signorini-link", (long_ago, long_ago), follow_symlinks=False)
+    (tmp_path / link).symlink_to("others")
+    os.utime(tmp_path / link, (long_ago, long_ago), follow_symlinks=False)
     confined._tidy()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["others-old", "signorini-link", "signorini-new"]
-    assert (tmp_path / "others-old" / "file").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {new, link, *users}
+    assert all((tmp_path / name / "file").exists() for name in users)
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,23 @@ def test_a_signal_before_the_loop_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_signal_while_libraries_are_imported(tmp_path: Path):
+    """It ends the program without a traceback."""
+    script = tmp_path / "told.py"
+    script.write_text(
+        "import os, signal, sys\n"
+        "from signorini_fenicsx.cli.start import main\n"
+        "class Told:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'petsc4py':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Told())\n"
+        "main()\n"
+    )
+    done = run(tmp_path, sys.executable, str(script), *SOLVE, ranks=1)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+
+
 def test_a_signal_in_a_destructor_is_not_lost():
     class Dying:
         def __del__(self) -> None:
