@@ -1,10 +1,11 @@
 """The folder of a study: one folder per finished run, tables of all runs, and a lock for one launch at a time."""
 
+import contextlib
 import fcntl
 import json
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -174,22 +175,29 @@ class StudyFolder:
             for run, record in records
         ]
         for name, rows in (("table.csv", table), ("timings.csv", _rectangular(timings, ["run"], []))):
-            part = self.path / f"{name}.part"
-            write_rows(part, rows[0], rows)
-            part.rename(part.with_suffix(""))
-        part = self.path / "table.parquet.part"
-        pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table), part)
-        part.rename(part.with_suffix(""))
-        write_columns(self.path / "table.tex.part", *told_of(table, varied))
-        (self.path / "table.tex.part").rename(self.path / "table.tex")
-        (self.path / "versions.json").write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
-        part = self.path / "study.part.png"
+            with self._written(name) as path:
+                write_rows(path, rows[0], rows)
+        with self._written("table.parquet") as path:
+            pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table), path)
+        with self._written("table.tex") as path:
+            write_columns(path, *told_of(table, varied))
+        with self._written("versions.json") as path:
+            path.write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
         try:
-            if draw_study(part, table, varied, title):
-                part.rename(self.path / "study.png")
+            with self._written("study.png") as path:
+                draw_study(path, table, varied, title)
         except Exception as error:
             return f"study.png: {in_words(error)}; the tables are in {self.path}"
         return ""
+
+    @contextlib.contextmanager
+    def _written(self, name: str) -> Iterator[Path]:
+        """The path of a new file, which then takes the place of the one with this name; no link is written through."""
+        new = (self.path / name).with_stem(f"{Path(name).stem}.part")
+        new.unlink(missing_ok=True)
+        yield new
+        if new.exists():
+            new.rename(self.path / name)
 
     def _open(self) -> None:
         try:

@@ -405,6 +405,21 @@ def test_one_launch_at_a_time_and_only_in_its_own_folder(tmp_path: Path):
     assert (done.returncode, "another launch" in done.stderr) == (2, True)
 
 
+def test_nothing_is_written_through_links(tmp_path: Path):
+    """In a folder that came from elsewhere the names of tables, and of files that become tables, may be links."""
+    write(tmp_path, 'case = "example1"\n[vary]\nh = ["1/2", "1/3"]')
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / ".lock").touch()
+    names = ("table.csv", "timings.csv", "table.parquet", "table.tex", "versions.json", "study.png")
+    for name in (Path(name) for name in names):
+        for link in (name, name.with_stem(f"{name.stem}.part"), Path(f"{name}.part")):
+            (tmp_path / "x" / link).symlink_to("../mine")
+    assert signorini(tmp_path, "study", "study.toml", "--output", "x").returncode == 0
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert not any((tmp_path / "x" / name).is_symlink() for name in names)
+
+
 @pytest.mark.parallel(3)
 def test_each_task_once_by_any_grouping(folder: Path):
     """Each task is done once, for any groups; a failure in one group ends all groups, and all ranks raise it."""
