@@ -92,7 +92,8 @@ class Body:
         if self.shape is not None:
             domain = build_domain(MPI.COMM_SELF, self.shape, h or 1.0, mesh=self.mesh, diagonal=self.diagonal)
         else:
-            self.size(h)  # refuses too large a size
+            if h is not None:
+                self.size(h)  # refuses too large a size
             path = self.file or ""
             read = named(read_mesh_file(path, None if self.is_fixed else h, sizes=self.sizes), self.faces, path)
             domain, changed = handed_out(MPI.COMM_SELF, read, path), read.changed
@@ -144,13 +145,13 @@ class Bodies:
         of_bodies = {}
         for name, body in self.bodies.items():
             with telling(f"[geometry] bodies.{name}"):
-                usual = body.usual()
-                size = body.h if h is None else h if usual is None else usual * h / self._largest()
-                of_bodies[name] = found(body, size)
+                of_bodies[name] = found(body, body.h if h is None else self._shrunk(body, h))
         return of_bodies
 
-    def _largest(self) -> float:
-        return max(size for body in self.bodies.values() if (size := body.usual()) is not None)
+    def _shrunk(self, body: Body, h: float) -> float:
+        """The h of a body where the coarsest one gets this h (rank 0)."""
+        usual = body.usual()
+        return h if usual is None else usual * h / max(filter(None, map(Body.usual, self.bodies.values())))
 
 
 @collector_off()

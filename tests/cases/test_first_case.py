@@ -10,6 +10,7 @@ from commands import signorini
 from mpi4py import MPI
 
 from signorini_fenicsx import __version__, evolve_case, load_case, solve_case
+from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.shipped import case_names, data_folder
 from signorini_fenicsx.cases.first_case import Place, words
 
@@ -75,6 +76,17 @@ def test_parts_of_bodies_that_face_each_other_are_pairs(tmp_path: Path, physics:
     (pair,) = load_case(tmp_path / "mine.toml").pair
     assert (pair.slave, pair.master, pair.kind) == (["up.bottom"], ["low.top"], kind)
     assert "100 % of the slave is opposite to the master, at 0.01 to 0.01" in (tmp_path / "mine.toml").read_text()
+
+
+def test_meshes_of_bodies_are_read_once_for_their_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Each file is read by a process of its own, which takes longer than all else for a small mesh."""
+    files = {name: str(tmp_path / f"{name}.msh") for name in ("low", "up")}
+    for file, low, high in zip(files.values(), ([0, 0], [0.2, 1.01]), ([1, 1], [0.8, 1.5]), strict=True):
+        box_file(Path(file), low, high)
+    times, run = [], confined.run
+    monkeypatch.setattr(confined, "run", lambda *arguments: times.append(1) or run(*arguments))
+    assert len(Place.of_bodies(files, tmp_path).pairs) == 1
+    assert len(times) == len(files)
 
 
 def test_bodies_of_one_file_are_paired(tmp_path: Path):
