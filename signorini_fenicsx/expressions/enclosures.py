@@ -86,7 +86,7 @@ class Means:
     Attributes:
         mean: Interval with the mean of d.
         norm: Upper bound of the root mean square of d.
-        linear: Upper bound of ‖Π₁d‖/|S|^½, with the projection Π₁ to the linear functions on S.
+        linear: Upper bound of ‖Π₁d‖/|S|^½, with the projection Π₁ to the linear functions on S, if it was asked for.
         place: Centroid of the part that adds most to the uncertainty, shape (n, dim).
         parts: Number of parts that were looked at.
     """
@@ -112,7 +112,7 @@ def means(
         p: The polynomials, of a degree ≤ K.
         frame: The domain.
         weight: Of each simplex.
-        linear: Whether what is unsure of `Means.linear` is aimed at, in the place of the half width.
+        linear: Whether `Means.linear` is wanted; then what is unsure of it is aimed at, in the place of the half width.
     """
     number, corners = vertices.shape[:2]
     slopes, centre = barycentric_gradients(vertices), vertices.mean(axis=1)
@@ -120,9 +120,11 @@ def means(
     def look(parts: Parts, remainder: Remainder) -> Array:
         (x, rule), rho = in_points(parts.vertices), 2 * remainder.distance()
         d = values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
-        hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.simplex, None], slopes[parts.simplex])
-        of_hats = np.einsum("nq,q,nqv->nv", d, rule, hats)
-        return np.column_stack([rho, rho**2, d @ rule, (np.sqrt(d**2 @ rule) + rho) ** 2, of_hats])
+        known = [rho, rho**2, d @ rule, (np.sqrt(d**2 @ rule) + rho) ** 2]
+        if linear:
+            hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.simplex, None], slopes[parts.simplex])
+            known.append(np.einsum("nq,q,nqv->nv", d, rule, hats))
+        return np.column_stack(known)
 
     def need(parts: Parts, of_parts: Array) -> Array:
         if linear:
@@ -133,10 +135,12 @@ def means(
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need)
     radius, unsure, middle, square, *of_hats = parts.sums(of_parts, number)
-    with np.errstate(invalid="ignore"):
-        squares = np.sum(np.square(of_hats), axis=0) - np.sum(of_hats, axis=0) ** 2 / (corners + 1)
-        of_linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
-    of_linear[np.isnan(of_linear)] = np.inf
+    of_linear = np.full(number, np.inf)
+    if linear:
+        with np.errstate(invalid="ignore"):
+            squares = np.sum(np.square(of_hats), axis=0) - np.sum(of_hats, axis=0) ** 2 / (corners + 1)
+            of_linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
+        of_linear[np.isnan(of_linear)] = np.inf
     middle[~np.isfinite(middle)] = 0.0
     place = _place(parts, parts.share * of_parts[:, 0], vertices)
     return Means(Interval(middle - radius, middle + radius), np.sqrt(square), of_linear, place, len(of_parts))
