@@ -32,6 +32,7 @@ from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells
 from signorini_fenicsx.expressions import TREES, Tree, exactly, to_ufl, values, values_and_gradient
 from signorini_fenicsx.expressions.given import Given, Rows, parsed
 from signorini_fenicsx.expressions.tree import polynomial_degree
+from signorini_fenicsx.meshes.domain import Domain
 
 DEGREES = 8, 30
 """Least and largest degree of a quadrature of data."""
@@ -297,7 +298,9 @@ def quadrature_degree(*data: Datum, power: int = 1) -> int:
     return min(max(least, power * max((datum.degree for datum in data), default=0)), most)
 
 
-def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Datum:
+def datum_of(
+    spaces: MeshSpaces | Domain, name: str, given: Given, *, continuous: bool = True, matrix: bool = False
+) -> Datum:
     """A datum from what was given, with numbers and texts as trees; a datum as it is (collective).
 
     Functions of points become piecewise quadratic, those that may jump by inner points.
@@ -330,7 +333,7 @@ def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = 
     return datum
 
 
-def _check_ufl(spaces: MeshSpaces, name: str, given: Expr) -> None:
+def _check_ufl(spaces: MeshSpaces | Domain, name: str, given: Expr) -> None:
     """Refuse UFL that is no real function on the mesh.
 
     Raises:

@@ -195,11 +195,10 @@ class MeshSpaces:
         """L = |Ω|^(1/d) (collective when first used)."""
         return float(self.mesh.comm.allreduce(self.cell_measures.sum()) ** (1 / self.mesh.topology.dim))
 
-    @cached_property
+    @property
     def frame(self) -> Frame:
         """The domain, for enclosures (collective when first used)."""
-        box = self.domain.box()[:, : self.mesh.geometry.dim]
-        return Frame(box, self.Q.dofmap.index_map.size_global, self.mesh.comm)
+        return self.domain.frame
 
     @property
     def nodes(self) -> npt.NDArray[np.integer]:

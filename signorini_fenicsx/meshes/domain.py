@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
@@ -19,6 +20,7 @@ from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_c
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts, without_law
 
 AXES = "xyz"
@@ -139,6 +141,11 @@ class Domain:
     def box(self) -> Array:
         """Smallest and largest coordinates, shape (2, 3) (collective)."""
         return bounding_box(self.mesh.geometry.x, self.mesh.comm)
+
+    @cached_property
+    def frame(self) -> Frame:
+        """The domain, for enclosures (collective when first used)."""
+        return Frame(self.box()[:, : self.mesh.geometry.dim], self.cells, self.mesh.comm)
 
 
 @dataclass(frozen=True)

@@ -2,26 +2,21 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.owned import owned_cells
-from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.points import Points, facet_quadrature, in_cells
-from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import Given, combined, parsed
-from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket, power_of_two
 from signorini_fenicsx.quantities.kinds import Integral, Mean
+from signorini_fenicsx.quantities.weighted import SHARPLY, Weighted
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 
@@ -35,10 +30,6 @@ NEAR = 1e-6
 """The first τ moves u by this share at least of how far ψ, gaps and u_D are from 0: less may be rounding where u is."""
 SHARE = 0.02
 """What may be wrong of integrals is aimed at to be this share of what is known besides."""
-SHARPLY = 1e-6
-"""What may be wrong of a weight's integral that steps keep, as a share."""
-NOTHING = 1e-12
-"""An integral that is at most this share of what it could be by the size of its integrand is rounding of 0."""
 
 
 class Beside[Fields](ABC):
@@ -189,6 +180,7 @@ class IntegralsBeside[Fields](Beside[Fields]):
     """The problems beside that of a solution for the integral of u with a weight, or its mean.
 
     Attributes:
+        over: The weight, and over what it is an integral.
         weight: The weight.
     """
 
@@ -197,25 +189,21 @@ class IntegralsBeside[Fields](Beside[Fields]):
 
     def __init__(self, solution: Any, kind: Integral):
         super().__init__(solution, kind)
-        names = "xyz"[: self.spaces.mesh.geometry.dim]
-        self.weight: Datum = datum_of(self.spaces, "weight", parsed(kind.weight, names, "weight"))
+        self.over = Weighted.of(self.domain, kind)
+        self.weight = self.over.weight
 
     def interval(self, near: Quantity | None = None) -> Quantity:
         """The interval (collective)."""
         quantity = super().interval(near)
         if not isinstance(self.kind, Mean):
             return quantity
-        integral, square, measure = self._sizes()
-        most = max(abs(quantity.lower), abs(quantity.upper))
-        enough = SHARE * quantity.width / most * abs(integral) if 0 < most < math.inf else math.inf
-        known = integral**2 > NOTHING**2 * square * measure
-        if not known:
-            return quantity.divided(0.0, 0.0)
+        integral, most = abs(self.over.sizes[0]), max(abs(quantity.lower), abs(quantity.upper))
+        enough = SHARE * quantity.width / most * integral if 0 < most < math.inf else math.inf
         if self.solution.step is None or self.weight.pieces is None:
-            return quantity.divided(*self._of_weight(enough))
+            return quantity.divided(*self.over.total(enough))
         of = tuple(tree for tree, _ in self.weight.pieces), (*self.kind.region, "on", *self.kind.parts)
-        kept, enough = self.spaces.kept_results, SHARPLY * abs(integral)
-        return quantity.divided(*kept.get(self.comm, "weight", of, (), lambda: self._of_weight(enough)))
+        kept, enough = self.spaces.kept_results, SHARPLY * integral
+        return quantity.divided(*kept.get(self.comm, "weight", of, (), lambda: self.over.total(enough)))
 
     def value(self, of_v: Fields, of_y: Fields, enough: float) -> Array:
         """The integral of v (collective)."""
@@ -224,58 +212,18 @@ class IntegralsBeside[Fields](Beside[Fields]):
     def response(self) -> float:
         """The size of the flux under the weight as a load (collective)."""
         length, direction = self.spaces.length, self.kind.direction
-        square = self._sizes()[1] * (length if self.kind.parts else 1.0)
+        square = self.over.sizes[1] * (length if self.kind.parts else 1.0)
         size = 1.0 if direction is None else math.hypot(*direction)
         return math.sqrt(square) * size * length * self.softness() / 4
-
-    @property
-    def cells(self) -> Indices:
-        """The owned cells over which it is an integral, if it is over cells."""
-        if not self.kind.region:
-            return owned_cells(self.spaces.mesh).astype(np.int64)
-        return np.unique(np.concatenate([self.domain.regions[name] for name in self.kind.region])).astype(np.int64)
-
-    def where(self, power: int = 1) -> Iterator[Points]:
-        """Points of a quadrature for a power of the weight in the cells, or in the facets of each part (collective)."""
-        mesh, degree = self.spaces.mesh, quadrature_degree(self.weight, power=power)
-        if self.kind.parts:
-            return (facet_quadrature(mesh, self.domain.facets[part], degree) for part in self.kind.parts)
-        return in_cells(mesh, self.cells.astype(np.int32), *positive_quadrature(mesh.basix_cell(), degree))
 
     def of_sums(self, sums: Array) -> float:
         """The integral, for a mean over that of the weight, from both on this rank (collective)."""
         integral, of_weight = self.comm.allreduce(sums).tolist()
         return integral / of_weight if isinstance(self.kind, Mean) and of_weight != 0 else integral
 
-    def _sizes(self) -> list[float]:
-        """The integrals of the weight, of its square and of 1, by quadrature (collective)."""
-        sums = np.zeros(3)
-        for points in self.where(power=2):
-            values = self.weight.values(points)
-            sums += [points.integrals(values**power).sum() for power in (1, 2, 0)]
-        return self.comm.allreduce(sums).tolist()
-
-    def _of_weight(self, enough: float) -> tuple[float, float]:
-        """The integral of the weight, and by how much it may be wrong; `enough` as in `products` (collective)."""
-        total = np.zeros(2)
-        for points in self.where(power=2):
-            measure = points.scale * points.weights.sum()
-            if self.weight.pieces is None:
-                total[0] += points.integrals(self.weight.values(points)).sum()
-            for tree, _ in self.weight.pieces or ():  # everywhere
-                assert isinstance(tree, TREES)
-                total += products(tree, points.vertices, measure, _one, 0, self.spaces.frame, enough).total
-        value, radius = self.comm.allreduce(total).tolist()
-        return value, radius
-
     @abstractmethod
     def integral(self, of: Fields, enough: float) -> Array:
         """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
-
-
-def _one(own: Indices, x: Array) -> Array:
-    """1 in points."""
-    return np.ones(x.shape[:2])
 
 
 def added(domain: Domain, one: Given, other: Given, factor: float) -> Given:

@@ -36,7 +36,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
 
 MOST = 24
 """Largest number of τ that are tried: the best one falls like h^{4/3}, far below the first one on fine meshes."""
@@ -56,6 +55,8 @@ PASSES = "passes where the pressure is negative, in soil that is taken for satur
 """What is said of that share."""
 QUANTITY, VALUE = "quantities.", ".value"
 """What the keys of a quantity in tables begin with, before its name, and that of its value ends with."""
+WEIGHT = "the integral of its weight is not known"
+"""What is said of a mean where it may be 0."""
 UNBOUNDED = "this flux is unbounded on the energy space"
 """What is said of a flux through parts that end where u is given, or held, on other parts."""
 
@@ -115,13 +116,9 @@ class Quantity:
         return (self.lower + self.upper) / 2
 
     def divided(self, total: float, radius: float) -> "Quantity":
-        """The mean, whose value it has: by the interval of an integral and that of its weight, within a radius.
-
-        Raises:
-            InputError: If the weight has no integral other than 0.
-        """
+        """The mean, whose value it has: by the interval of an integral and that of its weight, within a radius."""
         if not abs(total) > radius:
-            raise InputError("weight: its integral is 0, so there is no mean with it")
+            return replace(self, lower=-math.inf, upper=math.inf, proved=False, reason=self.reason or WEIGHT)
         ends = [end / (total + sign * radius) for end in (self.lower, self.upper) for sign in (-1.0, 1.0)]
         return replace(self, lower=min(ends), upper=max(ends))
 

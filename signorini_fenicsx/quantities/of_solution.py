@@ -10,7 +10,8 @@ from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Quantity
-from signorini_fenicsx.quantities.kinds import Energy, Integral, Kind
+from signorini_fenicsx.quantities.kinds import Energy, Integral, Kind, Mean
+from signorini_fenicsx.quantities.weighted import Weighted
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 
@@ -74,3 +75,5 @@ def check_quantities(domain: Domain, problem: Any, kinds: Sequence[Kind]) -> Non
         if (physics := PHYSICS[problem.boundary.physics].quantities) is None:
             raise InputError(f"{problem.boundary.physics}: no quantities are known")
         physics.check(domain, problem, kind)
+        if isinstance(kind, Mean):
+            Weighted.of(domain, kind).check_mean()

@@ -8,6 +8,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.extras import EXTRAS
 
+ODD = 'quantity=[{name="odd", kind="mean", weight="x - 0.5"}]'
 MANY = "law=[" + 200 * '{kind="seepage", parts=["top"]}, ' + "]"
 BAD_INPUT = [
     (["solve", "example7"], "unknown case 'example7'"),
@@ -26,6 +27,7 @@ BAD_INPUT = [
     (["solve", "example1", "--output", "\udcff"], "'\\udcff': is not in UTF-8"),
     (["solve", "example1", "--set", 'boundary.signorini=["\\u001b"]'], "unknown part '\\x1b'"),
     (["check", "example1", "--set", "boundary.signorini=[]", "--set", MANY], "law.0.parts and in law.1.parts"),
+    (["solve", "example1", "--set", ODD], "[[quantity]] odd: weight: its integral is 0, so there is no mean with it"),
     (["solve", "example1", "--rho", "0"], "greater than 0"),
     (["solve", "example1", "--algorithm", "vi", "--rho", "2"], "--rho: vi has no such option; alg1"),
     (["solve", "example1", "--eps", "1e-3"], "--eps: alg1 has no such option; alg3"),

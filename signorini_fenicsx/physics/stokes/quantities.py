@@ -115,21 +115,21 @@ class _Pressures(of_bodies.Integrals):
 
     def discrete(self) -> float:
         """The mean of p_h (collective)."""
-        measure = self.comm.allreduce(float(self.spaces.cell_measures[self.cells].sum()))
+        measure = self.comm.allreduce(float(self.spaces.cell_measures[self.over.cells].sum()))
         return self._integral(self.solution.stresses) / measure
 
     def _integral(self, stresses: Array) -> float:
         of_cells = pressure_of(stresses).mean(axis=(1, 2)) * self.spaces.cell_measures
-        return float(self.comm.allreduce(float(of_cells[self.cells].sum())))
+        return float(self.comm.allreduce(float(of_cells[self.over.cells].sum())))
 
     def response(self) -> float:
         """The size of dev σ where volumes grow by 1, about (collective)."""
-        return float(math.sqrt(self._sizes()[1]) / self.softness())
+        return float(math.sqrt(self.over.sizes[1]) / self.softness())
 
     def unseen(self, resolution: Resolution, missed: float, oscillation: Array, of_v: Any, of_y: Any) -> float:
         """What loads do on the growth, which is no part of e (collective)."""
-        of_cells = np.sqrt(resolution.stiffest() * self.spaces.cell_measures / self.spaces.dim)[self.cells]
-        sums = self.comm.allreduce(np.array([oscillation[self.cells] @ of_cells, of_cells @ of_cells]))
+        of_cells = np.sqrt(resolution.stiffest() * self.spaces.cell_measures / self.spaces.dim)[self.over.cells]
+        sums = self.comm.allreduce(np.array([oscillation[self.over.cells] @ of_cells, of_cells @ of_cells]))
         return float(sums[0] + (missed + of_y.y.distance) * math.sqrt(sums[1]))
 
 

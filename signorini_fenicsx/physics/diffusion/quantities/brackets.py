@@ -254,7 +254,7 @@ class Integrals(beside.IntegralsBeside[Admissible], _Beside):
     def discrete(self) -> float:
         """The integral, or the mean, with u_h in cells and p_h, or the mean of u, on facets (collective)."""
         solution, sums = self.solution, np.zeros(2)
-        for points in self.where():
+        for points in self.over.points():
             weight = self.weight.values(points)
             u = _on_facets(solution, points) if isinstance(points, FacetPoints) else solution.u_at(points)
             sums += points.integrals(weight * u).sum(), points.integrals(weight).sum()
@@ -264,7 +264,7 @@ class Integrals(beside.IntegralsBeside[Admissible], _Beside):
         """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
         near, lacked = NearPolynomial.of(of), self._lacked(of)
         if not self.kind.parts:
-            return near.integral(self.weight, self.cells, enough) + lacked
+            return near.integral(self.weight, self.over.cells, enough) + lacked
         inner, total = self.solution.boundary.inner, np.zeros(2)
         for part in self.kind.parts:
             total += near.on_facets(self.weight, self.domain.facets[part], enough, jump=part in inner)
@@ -276,7 +276,7 @@ class Integrals(beside.IntegralsBeside[Admissible], _Beside):
         In cells that is ∫|wd| ≤ ‖w‖ ‖d‖; on a facet e of T it is dim ‖d‖²_e |T|/|e| ≤ dim ‖d‖² + 2 diam(T) ‖d‖ ‖∇d‖.
         """
         missed, dim = 0.0, self.spaces.mesh.topology.dim
-        for points in self.where(power=2) if self.spaces.pairs else ():
+        for points in self.over.points(power=2) if self.spaces.pairs else ():
             cells, size = points.cells, np.sqrt(points.integrals(self.weight.values(points) ** 2))
             d, slope = (each[cells] for each in (of.trace.lacked, of.trace.lacking))
             if self.kind.parts:

@@ -294,7 +294,7 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
             values = self.weight.values(points)
             sums[:] += points.integrals(values * along_ways).sum(), share * points.integrals(values).sum()
 
-        for points in self.where() if not parts else ():
+        for points in self.over.points() if not parts else ():
             add(points, np.tile(direction_of(along, dim), (len(points.cells), 1)), 1.0)
         for part in (*parts, *(other_side(part) for part in parts if part in inner)):
             facets, named = spaces.part(part), part in parts
@@ -323,8 +323,8 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
         tree = parsed(self.kind.weight, "xyz"[:dim], "weight")
         if not self.kind.parts:
             assert along is not None
-            subcells = spaces.split.cells[self.cells].ravel()
-            measure = np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1)
+            subcells = spaces.split.cells[self.over.cells].ravel()
+            measure = np.repeat(spaces.cell_measures[self.over.cells] / (dim + 1), dim + 1)
             v = Along.of(of.v, subcells, along)
             total[1] = self._lacked(of, float(np.linalg.norm(along)))
             return total + products(tree, v.vertices, measure, v.at, degree, spaces.frame, enough).total
@@ -339,7 +339,7 @@ class Integrals(beside.IntegralsBeside[_Side], _Beside):
     def _lacked(self, of: _Side, size: float) -> float:
         """∫ |wd| in cells for a direction of this size, at most ‖w‖ ‖d‖ on each, on this rank (collective)."""
         missed = 0.0
-        for points in self.where(power=2) if self.spaces.pairs else ():
+        for points in self.over.points(power=2) if self.spaces.pairs else ():
             missed += float(np.sqrt(points.integrals(self.weight.values(points) ** 2)) @ of.lacked[points.cells])
         return size * missed
 
