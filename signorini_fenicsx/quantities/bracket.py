@@ -55,6 +55,8 @@ PASSES = "passes where the pressure is negative, in soil that is taken for satur
 """What is said of that share."""
 QUANTITY, VALUE = "quantities.", ".value"
 """What the keys of a quantity in tables begin with, before its name, and that of its value ends with."""
+EXCLUDED = "the bounds exclude each other"
+"""What is said where the lower bound is above the upper one, before why the bounds are not guaranteed."""
 WEIGHT = "the integral of its weight is not known"
 """What is said of a mean where it may be 0."""
 UNBOUNDED = "this flux is unbounded on the energy space"
@@ -237,7 +239,7 @@ def bracket(
     lower, upper = best[0].lower, best[1].upper
     reason = best[0].reason or best[1].reason
     if lower > upper:
-        reason, lower, upper = f"the bounds exclude each other by {lower - upper:.1e}", upper, lower
+        reason, lower, upper = ": ".join(filter(None, [EXCLUDED, reason])), upper, lower
     finite = math.isfinite(upper - lower)
     shares = min(tried.values(), key=lambda each: each.width).shares if finite and not (near and alone) else None
     proved, of_cells = finite and not reason, shares() if shares else None
