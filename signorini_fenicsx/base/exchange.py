@@ -21,7 +21,7 @@ import os
 import shutil
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path, PurePosixPath
 
 from signorini_fenicsx.base.errors import InputError
@@ -30,13 +30,24 @@ from signorini_fenicsx.base.reading import text_of
 MANIFEST = "files.json"
 """Lists the files in a results folder that the program wrote."""
 
+PICTURES = (
+    *("overview", "u", "sigma", "signorini", "iterations", "certificate", "deformed", "displacement", "pressure"),
+    *("contact", "pairs", "phreatic", "probes", "quantities", "fronts", "forces", "steps", "field"),
+    *("adapt", "mesh", "convergence"),
+)
+TABLES = (
+    *("facets", "contact", "pairs", "vertices", "free_boundary", "probes", "sections", "phreatic"),
+    *("history", "steps", "adapt", "convergence"),
+)
+SERIES = ("solution", "multiplier", "contact")
 OWN = (
-    *("checkpoint/about.json", "summary.json", "history.csv"),
-    *("facets.csv", "facets.parquet", "solution.xdmf", "solution.h5"),
-    *(f"{name}.bp/{part}" for name in ("solution", "multiplier") for part in ("data.0", "md.0", "md.idx", "mmd.0")),
-    *(f"{name}.bp/profiling.json" for name in ("solution", "multiplier")),
-    *("u.png", "sigma.png", "signorini.png", "iterations.png", "certificate.png"),
-    *("convergence.csv", "convergence.png", "adapt.csv", "adapt.png", "mesh.png"),
+    *("checkpoint/about.json", "summary.json", "solution.h5", "show.py", "solution.html", "animation.gif"),
+    *(f"{name}.csv" for name in TABLES),
+    *(f"{name}.parquet" for name in TABLES),
+    *(f"{name}.png" for name in PICTURES),
+    *(f"{name}.xdmf" for name in (*SERIES, "boundary", "phreatic")),
+    *(f"{name}.bp/{part}" for name in SERIES for part in ("data.0", "md.0", "md.idx", "mmd.0", "profiling.json")),
+    "convergence.tex",
 )
 """Names of files that the program writes: files of the user with these names are told of before anything is solved."""
 
@@ -187,10 +198,14 @@ class Area:
         Args:
             end: `DONE` or `FAILED`.
             add: Keep earlier results with other names.
+
+        Raises:
+            InputError: If something is in the way; the staging folder is still there then.
         """
         staging, place = self.path / self._staging, self.target if end == DONE else failed_place(self.target)
         files = [path for path in staging.rglob("*") if path.is_file()]
         names = {path.relative_to(staging).as_posix() for path in files}
+        self._check(place, names)
         with folder_below(self._at, staging.name) as folder:
             _write_list(folder, names | (self._listed(place) if add else set()))
         for path in (*files, staging / MANIFEST):
@@ -204,9 +219,10 @@ class Area:
         Raises:
             InputError: If something is in the way.
         """
-        for place in (self.target, failed_place(self.target)):
-            self._check(place)
-        for end, place in ((DONE, self.target), (FAILED, failed_place(self.target))):
+        places = (DONE, self.target), (FAILED, failed_place(self.target))
+        for end, place in places:
+            self._check(place, *self._coming(end))
+        for end, place in places:
             if is_complete(self._at, end):
                 if end == DONE:
                     self._clear(failed_place(self.target))  # it is out of date
@@ -220,8 +236,21 @@ class Area:
             if kind_of(self._at, end):
                 _delete(self._at, end)
 
-    def _check(self, place: Path) -> None:
+    def _coming(self, end: str) -> tuple[set[str], set[str]]:
+        """The files of complete results that are still to be moved to their place, and those that have been."""
+        if not is_complete(self._at, end):
+            return set(), set()
+        names = self._listed(self.path / end)
+        coming = {name for name in names if is_file(self._at, f"{end}/{name}")}
+        return coming, names - coming
+
+    def _check(self, place: Path, coming: Set[str], moved: Set[str] = frozenset()) -> None:
         """Refuse a place for results that is used for something else, or where something is in the way.
+
+        Args:
+            place: It.
+            coming: Files that are to be moved to it.
+            moved: Files that have been moved to it, and are not on its list yet.
 
         Raises:
             InputError: If it is.
@@ -233,14 +262,12 @@ class Area:
             raise InputError(f"output {place}: is a file, not a folder")
         if kind == 0:
             return
-        end = DONE if place == self.target else FAILED
-        moved = self._listed(self.path / end) if is_complete(self._at, end) else set()
         with folder_below(self._parent, place.name) as folder:
             ours = listed(folder, place)
             if os.listdir(folder) and not is_file(folder, MANIFEST):
                 raise InputError(f"output {place}: is not empty and holds no {MANIFEST}; choose another folder")
             ours |= moved
-            for name in sorted({*OWN, *ours, MANIFEST}):
+            for name in sorted({*OWN, *coming, *ours, MANIFEST}):
                 for above in PurePosixPath(name).parents[:-1]:
                     if kind_of(folder, str(above)) not in (0, stat.S_IFDIR):
                         raise _in_the_way(place / above, "it is not a folder")

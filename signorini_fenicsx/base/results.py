@@ -76,10 +76,12 @@ class ResultsFolder:
         """Move the files to their place.
 
         They replace the files of the run before; with `add`, only those with the same names. The folder of an earlier
-        failure is removed. If there is no room for all of them, a checkpoint is published alone.
+        failure is removed. If there is no room for all of them, or a file of the user is in the way, a checkpoint is
+        published alone.
 
         Raises:
             OSError: If there is none, or no room for it.
+            InputError: If there is none, or a file of the user is in its way.
         """
         self._end(DONE, add=add)
 
@@ -143,7 +145,7 @@ class ResultsFolder:
         with postponed():
             try:
                 self.path = on_root(self.comm, lambda: self._commit(end, add=add))
-            except OSError as error:
+            except (OSError, InputError) as error:
                 if not on_root(self.comm, self._has_only_state):
                     raise
                 self.path = on_root(self.comm, lambda: self._commit(end, add=add))

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import pytest
 from mpi4py import MPI
 
 from signorini_fenicsx.base import exchange
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, LaterFailure
 from signorini_fenicsx.base.exchange import area_of, complete, refuse_incomplete
 from signorini_fenicsx.base.results import ResultsFolder
 
@@ -62,6 +63,45 @@ def test_only_what_the_program_wrote_is_replaced(tmp_path: Path):
     publish(tmp_path / "y", FIRST, failed=True)
     publish(tmp_path / "y", FIRST)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x", "x.failed", "y"]
+
+
+def test_files_of_the_user_with_names_of_results_stay(tmp_path: Path):
+    """Where files get their names only after the solution is there, it is kept, and so is what does not hit them."""
+    target, mine, state = tmp_path / "x", {"table.txt": "mine"}, {"checkpoint/about.json": "1"}
+    publish(target, FIRST)
+    put(target, mine)
+    with pytest.raises(InputError, match=r"table\.txt: is in the way, as no earlier run wrote it"):
+        publish(target, {"table.txt": "2"})
+    assert found(target) == FIRST | mine
+    with pytest.raises(LaterFailure, match=r"files: .*table\.txt: is in the way"):
+        publish(target, state | {"table.txt": "2"})
+    assert found(target) == state | mine
+
+    def with_more() -> None:
+        with ResultsFolder(MPI.COMM_SELF, target) as results:
+            put(results.path, state)
+            results.publish()
+            results.attempt("pictures", lambda: put(results.path, {"table.txt": "2", "u.png": "2"}))
+            results.attempt("fields", lambda: put(results.path, {"solution.xdmf": "2"}))
+
+    with pytest.raises(LaterFailure, match=r"pictures: .*table\.txt: is in the way"):
+        with_more()
+    assert found(target) == state | mine | {"solution.xdmf": "2"}
+    forged = {"files.json": FORGED.replace("home/.bashrc", "table.txt"), "table.txt": "theirs"}
+    put(area_of(target), {"lock": ""} | {f"done/{name}": text for name, text in forged.items()})
+    with pytest.raises(InputError, match=r"table\.txt: is in the way"):
+        complete(target)
+    assert found(target) == state | mine | {"solution.xdmf": "2"}
+
+
+def test_names_of_results_are_known_before_a_run():
+    """All names in the tables of the pages: what of the user has one is told of before anything is solved."""
+    pages = Path(__file__).parents[2] / "docs" / "guide"
+    lines = [line for name in ("results", "time") for line in (pages / f"{name}.md").read_text().splitlines()]
+    first = [line.split("|")[1] for line in lines if line.startswith("| `")]
+    names = {name for cell in first for name in re.findall(r"`(\w+\.\w+)`", cell)} - {exchange.MANIFEST}
+    assert len(names) > 30
+    assert names <= {name.split("/")[0] for name in exchange.OWN}
 
 
 def test_a_folder_without_a_list_is_no_results_folder(tmp_path: Path):
