@@ -12,6 +12,14 @@ from signorini_fenicsx.cases.complaints import shown
 MAX_DOTS = 500
 """Most dots of a dotted key; Python's time for a key grows with the square of this number."""
 
+BACKSLASH = "in paths / takes the place of a backslash, on all systems"
+HINTS = {
+    "Invalid value": 'texts are in quotation marks, such as f = "sin(x)"',
+    "Unescaped": BACKSLASH,
+    "Invalid hex": BACKSLASH,
+}
+"""What is meant where Python's reader of TOML says this."""
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
@@ -30,9 +38,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         except tomllib.TOMLDecodeError as error:
             place = re.search(r"at line (\d+)", str(error))
             line = "" if place is None else f": {shown(text.splitlines()[int(place[1]) - 1].strip())}"
-            hint = '; texts are in quotation marks, such as f = "sin(x)"' if "Invalid value" in str(error) else ""
+            hint = next((f"; {right}" for wrong, right in HINTS.items() if wrong in str(error)), "")
             raise InputError(f"not a TOML file: {error}{line}{hint}") from None
-        except (UnicodeDecodeError, RecursionError) as error:
+        except UnicodeDecodeError as error:
+            raise InputError(f"not a TOML file: byte {error.start + 1} is not UTF-8; save it as this") from None
+        except RecursionError as error:
             raise InputError(f"not a TOML file: {error}") from None
         except ValueError:  # Python reads at most 4300 digits
             raise InputError("an integer of thousands of digits; numbers are at most 1e308") from None

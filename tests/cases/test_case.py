@@ -61,6 +61,7 @@ def test_good_case(tmp_path: Path):
         ('"x*y"', '"xy"', "unknown name 'xy'; known are pi, x, y"),
         ("title", "title = ", "not a TOML file"),
         ('"x*y"', "x*y", r"not a TOML file: .* 'f = x\*y'; texts are in quotation marks"),
+        ("title = ", 'title = "C:\\meshes" #', r"Unescaped .*; in paths / takes the place of a backslash"),
         ('"x*y"', '"x*y"\nk = 2', r"unknown key 'k' in \[problem\]; .* .did you mean 'kappa'..$"),
         ('"x*y"', '"x*y"\nu_0 = 2', r"unknown key 'u_0' in \[problem\]; .*form; 'initial' is a key of \[time\]$"),
         ('"x*y"', '"x*y"\nh = 2', r"unknown key 'h' in \[problem\]; .*; 'h' is a key of \[solve\]$"),
@@ -90,6 +91,14 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
     with pytest.raises(InputError, match=message) as caught:
         load_case(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_file_in_another_encoding(tmp_path: Path):
+    """It is refused with the place of its first letter that is not UTF-8."""
+    path = tmp_path / "bad.toml"
+    path.write_bytes(GOOD.replace("Good", "Gött").encode("latin-1"))
+    with pytest.raises(InputError, match=f"not a TOML file: byte {GOOD.index('ood') + 1} is not UTF-8"):
+        load_case(path)
 
 
 def test_unknown_names():

@@ -102,7 +102,7 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ('"elasticity"', '"magic"', "physics: unknown 'magic'; use \"elasticity\""),
         ("young = 1\n", "", "missing key 'young' in [problem]"),
         ("young = 1", "young = 0", "[problem] young: must be positive and finite everywhere"),
-        ('"0.3"', '"1/2"', "[problem] poisson: must be between -1 and 1/2"),
+        ('"0.3"', '"1/2"', "[problem] poisson: must be above -1 and below 1/2; it is 0.5"),
         (
             "young = 1\n",
             "young = true\n",
@@ -129,7 +129,7 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ('["bottom"]', '["floor"]', "contact: unknown part 'floor' of square"),
         ('h = "1/4"', 'h = "1/4"\nalgorithm = "vi"', "[solve] algorithm: elastic contact is solved by alg1 or alg2"),
         ('h = "1/4"', 'h = "1/4"\neps = 1e-3', "[solve] eps: elastic contact has no such key"),
-        ("u_D", "g_N = {top = [0, 1]}\nu_D", "g_N: no traction is given on part 'top'"),
+        ("u_D", "g_N = {top = [0, 1]}\nu_D", "g_N: part 'top' takes no traction, as it is not in neumann"),
         ("gap", "gip", "unknown key 'gip' in [problem]"),
         ("young", "yuong", "unknown key 'yuong' in [problem]; known are young, poisson, f"),
         ('physics = "elasticity"', "", "'young' is of elasticity, which needs physics = \"elasticity\""),

@@ -221,7 +221,7 @@ solve = {h = "1/4"}
         assert row["friction"] != "stick" or abs(float(row["shear"])) < bound
     for change, message in (
         ("}", "the law 'friction' must have g, a bound of the shear, or mu"),
-        (', mu = "x - 0.5"}', "law.0.mu: must be finite and not negative"),
+        (', mu = "x - 0.5"}', "law.0.mu: must be finite and not negative everywhere on its parts; its smallest"),
     ):
         (folder / "wrong.toml").write_text(text.replace(", mu = 0.3}", change), encoding="utf-8")
         done = signorini(folder, "check", "wrong.toml")

@@ -103,6 +103,13 @@ def test_units_of_bodies_and_flows():
         load_case("bar").with_values({"plot.sign": -1})
 
 
+def test_surfaces_of_contact_are_in_the_legend():
+    """Where two bodies may touch there is a line, and the legend says what it is; a body alone has none."""
+    for name, surfaces in (("two_cylinders", True), ("bar", False)):
+        (legend,) = overview(scene(load_case(name))).legends
+        assert ("contact surfaces" in [text.get_text() for text in legend.get_texts()]) == surfaces
+
+
 def test_a_quantity_has_a_symbol_a_unit_and_a_sign():
     """With a sign −1 it is that of the negative weight; symbol and unit are in words, summary and pictures."""
     outflow = {"name": "outflow", "kind": "flux", "parts": ["left"], "weight": "4*y*(1 - y)"}

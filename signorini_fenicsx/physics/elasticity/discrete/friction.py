@@ -361,8 +361,9 @@ def _lower_values(spaces: ElasticSpaces, name: str, given: Given, facets: Bounda
     points = in_facets(spaces.mesh, facets.facets, places)
     values = datum.values(points)
     low = float(np.nan_to_num(values, nan=-np.inf, posinf=-np.inf).min(initial=np.inf))
-    if spaces.mesh.comm.allreduce(low, MPI.MIN) < 0:
-        raise InputError(f"{name}: must be finite and not negative everywhere on its parts")
+    if (low := spaces.mesh.comm.allreduce(low, MPI.MIN)) < 0:
+        found = f"; its smallest value is {low:.3g}" if np.isfinite(low) else ""
+        raise InputError(f"{name}: must be finite and not negative everywhere on its parts{found}")
     at_vertices = values[:, :dim]
     if not is_linear(datum):
         values = np.maximum(from_within(datum.values, points), 0.0)

@@ -418,7 +418,7 @@ def _check_ends(key: str, low: float, high: float) -> None:
         raise InputError(f"[problem] {key}: must be positive and finite everywhere; its smallest value is {low:.3g}")
     if key == "poisson" and not (low > -1 and high < 0.5):
         wrong = low if not low > -1 else high
-        raise InputError(f"[problem] poisson: must be between -1 and 1/2, without these; it is {wrong:.6g} somewhere")
+        raise InputError(f"[problem] poisson: must be above -1 and below 1/2; it is {wrong:.6g} somewhere")
     if key == "shear" and not (low >= 0 and high < np.inf):
         raise InputError(f"[problem] shear: must be positive and finite everywhere; its smallest value is {low:.3g}")
     if key == "energy" and not low > POSITIVE:

@@ -174,8 +174,8 @@ def _check_loaded(spaces: ElasticSpaces, key: str, part: str) -> None:
     """
     loaded = [*spaces.boundary.neumann, *spaces.boundary.fixed]
     if part not in loaded:
-        where = f"only on {', '.join(loaded)}" if loaded else "as no part is in Γ_N"
-        raise InputError(f"[problem] {key}: no traction is given on part '{part}', {where}")
+        where = f"{', '.join(loaded)} are" if loaded else "no part is"
+        raise InputError(f"[problem] {key}: part '{part}' takes no traction, as it is not in neumann or fixed; {where}")
 
 
 def traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum | PressureDatum]) -> Array:

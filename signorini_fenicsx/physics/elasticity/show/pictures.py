@@ -210,12 +210,11 @@ def _beside(scene: Scene, moved: Array, factor: float, most: float) -> list[Over
     look = {"facecolor": "0.75", "edgecolor": "0.75", "linewidth": 0.3, "zorder": 0.5}
     if scene.dim == 3:
         return [Overlay("foundation", list(facets[:, :3]), {"color": "grey"}, filled=True)]
-    touching = moved[scene.facets.vertices[_inside(scene)]]
     return [
         Overlay("before", *_mesh(scene)),
         Overlay("foundation", list(facets), look, filled=True),
         Overlay("", list(facets[:, :2]), {"color": "black", "linewidth": 1.2}),
-        Overlay("", list(touching), {"color": "black", "linewidth": 0.8}),
+        _surfaces(scene, moved),
         _arrows(scene, moved, given=True),
         _arrows(scene, moved, given=False),
     ]
@@ -306,6 +305,12 @@ def _inside(scene: Scene) -> Mask:
     return np.isin(surface.facets.part, [index for index, name in enumerate(surface.names) if name in surface.inside])
 
 
+def _surfaces(scene: Scene, moved: Array) -> Overlay:
+    """The lines along which two bodies, or the sides of a crack, touch or may touch, in the plane."""
+    lines = list(moved[scene.facets.vertices[_inside(scene)]])
+    return Overlay("contact surfaces", lines, {"color": "black", "linewidth": 0.8})
+
+
 def _at_points(vertices: Indices, values: Array, size: int) -> Array:
     """The means of vectors at the vertices of facets, shape (facets, d, d), over the facets around each point."""
     points, columns = vertices.ravel(), np.moveaxis(values, 2, 0).reshape(values.shape[2], -1)
@@ -359,8 +364,8 @@ def _near(scene: Scene) -> tuple[Scene, Mask, float] | None:
     reaches = [(each.max(axis=1) > frame[0]).all(axis=1) & (each.min(axis=1) < frame[1]).all(axis=1) for each in shown]
     cells = reaches[0] | reaches[1]
     few = replace(scene, fields=replace(fields, cells=fields.cells[cells]))
-    touching = Overlay("", list(moved[scene.facets.vertices[_inside(scene)]]), {"color": "black", "linewidth": 0.8})
-    return replace(few.at(moved, [Overlay("", *_mesh(few)), touching]), frame=frame), cells, factor
+    over = [Overlay("", *_mesh(few)), _surfaces(scene, moved)]
+    return replace(few.at(moved, over), frame=frame), cells, factor
 
 
 def _rounded(value: float) -> float:
