@@ -9,7 +9,6 @@ done on the simplex with vertices 0, e_1, …, by the map of Piola.
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-import itertools
 from collections.abc import Callable
 from typing import Annotated
 
@@ -19,6 +18,7 @@ import typer
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.certificate.passed_on import kuhn_lattice
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, eliminate, responses
 from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
@@ -29,6 +29,7 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     hats_in_subcells,
     reference,
 )
+from signorini_fenicsx.physics.elasticity.discrete.tools import rigid_motions
 from signorini_fenicsx.rigorous.discrete import MeshCells as EnclosedCells
 from signorini_fenicsx.rigorous.elasticity.loads import MOMENTS, PROVED
 from signorini_fenicsx.rigorous.elasticity.stress import along_tree, solved, stresses_of, wrench_of_moments, wrenches
@@ -49,7 +50,7 @@ def korn(
 
 def korn_constant(dim: int, parts: int) -> tuple[float, float]:
     """c_h and the bound of ĉ."""
-    vertices, cells = lattice(dim, parts)
+    vertices, cells = regular_lattice(dim, parts)
     c_h = np.sqrt(largest_eigenvalue(vertices, cells))
     s = stretch(Cells(vertices[cells]).derivative).max()
     q = moment_error(dim)
@@ -58,7 +59,7 @@ def korn_constant(dim: int, parts: int) -> tuple[float, float]:
 
 def trace_constant(dim: int, parts: int) -> tuple[float, float]:
     """t_h and the bound of t̂."""
-    t_h = np.sqrt(largest_eigenvalue_of_tractions(*lattice(dim, parts)))
+    t_h = np.sqrt(largest_eigenvalue_of_tractions(*regular_lattice(dim, parts)))
     return t_h, t_h / np.sqrt(1 - 1 / parts)
 
 
@@ -69,24 +70,17 @@ def bound_of(c_h: float, s: float, q: float) -> float:
 
 
 def lattice(dim: int, parts: int) -> tuple[Array, Indices]:
+    """A mesh of the simplex with vertices 0, e_1, …, by that of Kuhn's; octahedra are cut along parallel diagonals."""
+    places = kuhn_lattice(dim, parts)
+    points = -np.diff(places, axis=2, append=0).reshape(-1, dim) / parts
+    points, numbers = np.unique(points, axis=0, return_inverse=True)
+    return points, np.sort(numbers.reshape(len(places), dim + 1), axis=1)
+
+
+def regular_lattice(dim: int, parts: int) -> tuple[Array, Indices]:
     """A mesh of the regular simplex."""
-    points = np.array([point for point in itertools.product(range(parts + 1), repeat=dim) if sum(point) <= parts])
-    edges = regular_simplex(dim)
-    corner = np.vstack([np.zeros(dim), np.eye(dim)])
-    if dim == 2:
-        cells = [p + corner for p in points if p.sum() < parts]
-        cells += [p + 1 - corner for p in points if p.sum() < parts - 1]
-    else:
-        cells = [p + corner for p in points if p.sum() < parts]
-        cells += [p + 1 - corner for p in points if p.sum() < parts - 2]
-        axis = np.array([[1, 0, 0], [0, 1, 1]])  # the octahedron is split along its shortest diagonals, all alike
-        ring = np.array([[0, 1, 0], [1, 1, 0], [1, 0, 1], [0, 0, 1]])
-        cells += [
-            p + np.vstack([axis, ring[i], ring[(i + 1) % 4]]) for p in points if p.sum() < parts - 1 for i in range(4)
-        ]
-    lookup = {tuple(point): number for number, point in enumerate(points)}
-    numbers = np.sort([[lookup[tuple(vertex)] for vertex in cell] for cell in np.array(cells, dtype=int)], axis=1)
-    return points @ edges.T / parts, numbers
+    points, numbers = lattice(dim, parts)
+    return points @ regular_simplex(dim).T, numbers
 
 
 def largest_eigenvalue(vertices: Array, numbers: Indices) -> float:
@@ -154,7 +148,7 @@ def _system_of_traces(
     count, dim = len(numbers), numbers.shape[1] - 1
     facets, blocks = np.unique(numbers[:, opposite(dim)].reshape(-1, dim), axis=0, return_inverse=True)
     unknowns = (blocks.reshape(count, dim + 1, 1) * dim**2 + np.arange(dim**2)).reshape(count, -1)
-    held = _rigid(vertices[facets[:1]])
+    held = rigid_motions(vertices[facets[0]]).reshape(dim**2, -1)
     cell, local = divmod(int(np.argmin(blocks)), dim + 1)  # where the first facet is
     block = slice(local * dim**2, (local + 1) * dim**2)
     matrices[cell, block, block] += held @ held.T
@@ -196,17 +190,6 @@ def _assembled(blocks: Array, rows: Indices, columns: Indices) -> sp.csr_array:
     return sp.coo_array((blocks.ravel(), places)).tocsr()
 
 
-def _rigid(points: Array) -> Array:
-    """Rigid motions in points of shape (n, k, d), shape (n k d, motions)."""
-    dim = points.shape[2]
-    moved = [np.broadcast_to(direction, points.shape) for direction in np.eye(dim)]
-    for i, j in itertools.combinations(range(dim), 2):
-        turned = np.zeros(points.shape)
-        turned[..., i], turned[..., j] = points[..., j], -points[..., i]
-        moved.append(turned)
-    return np.stack(moved, axis=-1).reshape(-1, len(moved))
-
-
 def moment_error(dim: int) -> float:
     """The largest ‖p − Qp‖/‖p‖ of linear p; Qp is constant on each subcell and has the moments of p."""
     hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))  # (φ_v, φ_w) for |T| = 1
@@ -239,10 +222,9 @@ class Loaded:
 
     def __init__(self, dim: int, parts: int):
         """Make the mesh."""
-        places, numbers = lattice(dim, parts)
-        self.dim, self.parts = dim, parts
-        self.stretch = float(stretch(Cells(places[numbers]).derivative).max())
-        points = np.rint(places @ np.linalg.inv(regular_simplex(dim)).T * parts) / parts
+        points, numbers = lattice(dim, parts)
+        self.dim = dim
+        self.stretch = float(stretch(Cells((points @ regular_simplex(dim).T)[numbers]).derivative).max())
         facets = numbers[:, opposite(dim)].reshape(-1, dim)
         _, facet = np.unique(facets, axis=0, return_inverse=True)
         self.mesh = EnclosedCells(points[numbers], numbers, facet.reshape(len(numbers), dim + 1))
