@@ -282,6 +282,7 @@ def test_a_failure_on_one_rank(tmp_path: Path):
     done = run(tmp_path, sys.executable, "failing.py", "solve", *SOLVE, ranks=2)
     assert done.returncode == 3, done.stderr
     assert done.stderr.count(f"failed: error bound: {BROKEN}; fields: {BROKEN}; free on the disk: ") == 1
+    assert done.stderr.count("\n") == 1
     assert names(tmp_path / "x") == TABLES | {"summary.json"}
 
 
