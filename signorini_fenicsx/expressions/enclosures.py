@@ -22,6 +22,7 @@ from signorini_fenicsx.expressions.simplices import (
     Parts,
     Polynomial,
     Quadratic,
+    barycentric,
     barycentric_gradients,
     bernstein,
     interpolated,
@@ -115,26 +116,23 @@ def means(
         linear: Whether `Means.linear` is wanted; then what is unsure of it is aimed at, in the place of the half width.
     """
     number, corners = vertices.shape[:2]
-    slopes, centre = barycentric_gradients(vertices), vertices.mean(axis=1)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        (x, rule), rho = in_points(parts.vertices), 2 * remainder.distance()
-        d = values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
-        known = [rho, rho**2, d @ rule, (np.sqrt(d**2 @ rule) + rho) ** 2]
-        if linear:
-            hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.simplex, None], slopes[parts.simplex])
-            known.append(np.einsum("nq,q,nqv->nv", d, rule, hats))
-        return np.column_stack(known)
+        return 2 * remainder.distance()[:, None]
 
-    def need(parts: Parts, of_parts: Array) -> Array:
+    def need(parts: Parts, rho: Array) -> Array:
         if linear:
-            return np.asarray(weight[parts.simplex] * parts.share * of_parts[:, 1])
-        width = parts.share * of_parts[:, 0]
+            return np.asarray(weight[parts.simplex] * parts.share * rho[:, 0] ** 2)
+        width = parts.share * rho[:, 0]
         of_simplex = np.bincount(parts.simplex, np.where(np.isfinite(width), width, 0.0), number)[parts.simplex]
         return np.asarray(weight[parts.simplex] * width * of_simplex)
 
     parts, of_parts = in_parts([tree], vertices, frame, look, need)
-    radius, unsure, middle, square, *of_hats = parts.sums(of_parts, number)
+    rho, chunks = of_parts[:, 0], range(0, max(len(of_parts), 1), CHUNK)
+    of_chunks = [_moments(tree, p, vertices, parts.take(slice(at, at + CHUNK)), linear=linear) for at in chunks]
+    of_d, of_square, *of_hats = np.concatenate(of_chunks).T
+    columns = np.column_stack([rho, rho**2, of_d, (np.sqrt(of_square) + rho) ** 2, *of_hats])
+    radius, unsure, middle, square, *of_hats = parts.sums(columns, number)
     of_linear = np.full(number, np.inf)
     if linear:
         with np.errstate(invalid="ignore"):
@@ -142,8 +140,18 @@ def means(
             of_linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
         of_linear[np.isnan(of_linear)] = np.inf
     middle[~np.isfinite(middle)] = 0.0
-    place = _place(parts, parts.share * of_parts[:, 0], vertices)
-    return Means(Interval(middle - radius, middle + radius), np.sqrt(square), of_linear, place, len(of_parts))
+    place = _place(parts, parts.share * rho, vertices)
+    return Means(Interval(middle - radius, middle + radius), np.sqrt(square), of_linear, place, len(rho))
+
+
+def _moments(tree: Tree, p: Quadratic | Polynomial, vertices: Array, parts: Parts, *, linear: bool) -> Array:
+    """Means of d and d² over parts by quadrature, and if `linear` those with the hats of simplices, (parts, means)."""
+    x, rule = in_points(parts.vertices)
+    d = values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
+    found = [d @ rule, d**2 @ rule]
+    if linear:
+        found.append(np.einsum("nq,q,nqv->nv", d, rule, barycentric(vertices[parts.simplex], x)))
+    return np.column_stack(found)
 
 
 @dataclass(frozen=True)
