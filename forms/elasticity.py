@@ -59,7 +59,7 @@ as (σ − y)n = χ_*((λ − λ_y)ν) + r on Γ₂, so that the last term of th
 
 from itertools import combinations
 
-from ufl import Form, Measure, as_vector, div, dot, grad, inner, sqrt, sym
+from ufl import Form, Measure, as_vector, dot, grad, inner, sqrt, sym
 from ufl.core.expr import Expr
 
 
@@ -81,11 +81,6 @@ def strain(u: Expr) -> Expr:
 def product(tensor: Expr, one: Expr, other: Expr, dx: Measure) -> Form:
     """(𝔸σ, τ) or (ℂε, ε')."""
     return inner(dot(tensor, vector(one)), vector(other)) * dx
-
-
-def hellinger_reissner(sigma: Expr, u: Expr, tau: Expr, v: Expr, compliance: Expr, dx: Measure) -> Form:
-    """(𝔸σ, τ) + (u, ∇·τ) + (∇·σ, v): on a cell the left sides of the hybrid form."""
-    return product(compliance, sigma, tau, dx) + inner(u, div(tau)) * dx + inner(div(sigma), v) * dx
 
 
 def off_law(v: Expr, y: Expr, compliance: Expr, eigenstrain: Expr) -> Expr:

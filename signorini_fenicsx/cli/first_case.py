@@ -13,9 +13,6 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cli.report import Report
 
-type Answers = tuple[str, str, dict[str, str]]
-"""The shape or the mesh file, the physics, and a word for each part."""
-
 
 def init(
     case: Annotated[Path, typer.Argument(help="The file to write.")] = Path("my-case.toml"),

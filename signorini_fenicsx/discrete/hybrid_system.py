@@ -270,9 +270,11 @@ class HybridSystem(TraceSystem):
     """A system for the traces of an element of order two, whose cells are eliminated block by block.
 
     Attributes:
+        spaces: The spaces, which are `LinearTraces`.
         tractions: The part of the right side that is given on facets.
     """
 
+    spaces: Any
     tractions: Array
     _data: Any
 
@@ -307,8 +309,12 @@ class HybridSystem(TraceSystem):
         """σ and u of all cells from their coefficients, block by block."""
 
     @abstractmethod
+    def through(self, sigma: Array) -> Array:
+        """|e| σn from each owned cell, as `LinearTraces.forces` takes it, from σ as `recover` gives it."""
+
     def forces(self, sigma: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown q, from σ as `recover` gives it (collective)."""
+        return np.asarray(self.spaces.forces(self.through(sigma)))
 
     def eliminate_again(self) -> None:
         """Eliminate with other data and the same matrix (collective)."""

@@ -358,17 +358,19 @@ class TraceBackend(DataBackend):
         """Correct σ while the jumps of its fluxes might decide about sets and become smaller (collective).
 
         The σ that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much less
-        than rounding. Corrections are small, so that their own errors are. Where weak springs hold a body, forces are
-        those without them: a correction is a step of the proximal point method, after which they pull no more.
+        than rounding. Corrections are small, so that their own errors are. The largest force of one cell is the scale;
+        those of both cells of a facet cancel, and on the boundary there may be none. Where weak springs hold a body,
+        forces are those without them: a correction is a step of the proximal point method, after which they pull no
+        more.
         """
         assert self._last is not None
         assert isinstance(self.system, HybridSystem)
-        system, posed, change, forces = self.system, self._last, self._x.duplicate(), sigma
+        system, posed, change, through = self.system, self._last, self._x.duplicate(), sigma
 
         def left_by(fields: list[Array]) -> Array:
-            nonlocal forces
-            self._x.array_w[:], forces = fields[0], system.forces(fields[1])
-            left = system.tractions - forces
+            nonlocal through
+            self._x.array_w[:], through = fields[0], system.through(fields[1])
+            left = system.tractions - system.spaces.forces(through)
             self.left_at_sites(posed, self._x, left)
             left[self._factors.essential(posed.conditions.kind == Condition.ZERO_TRACE)] = 0.0
             return left
@@ -381,7 +383,7 @@ class TraceBackend(DataBackend):
             return [change.array_r.copy(), *system.recover(system.everywhere(change.array_r), with_f=False)]
 
         def enough(left: Array) -> bool:
-            size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
+            size, scale = self.sizes.extent(np.abs(left), np.abs(through) / system.spaces.dim)
             return size <= self.exact_to * scale
 
         fields = [self._x.array_r.copy(), sigma, u]

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Indices, Mask, inverses
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, inverses
 from signorini_fenicsx.base.errors import InputError, check_names
 from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_cells, owned_cells
 from signorini_fenicsx.base.parallel import collector_off
@@ -346,7 +346,12 @@ def facet_pairs(domain: Domain, name: str) -> tuple[npt.NDArray[np.int32], npt.N
 
 def membership(domain: Domain) -> Mask:
     """Mask of the owned cells in each region, shape (cells, regions)."""
-    table = np.zeros((number_of_cells(domain.mesh), len(domain.regions)), dtype=bool)
-    for column, cells in enumerate(domain.regions.values()):
+    return in_regions(domain.regions, number_of_cells(domain.mesh))
+
+
+def in_regions(regions: Mapping[str, AnyIndices], number: int) -> Mask:
+    """Mask of so many cells in each region, shape (cells, regions), from the numbers of its cells."""
+    table = np.zeros((number, len(regions)), dtype=bool)
+    for column, cells in enumerate(regions.values()):
         table[cells, column] = True
     return table

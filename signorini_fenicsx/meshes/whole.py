@@ -13,7 +13,7 @@ from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_c
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.rows import rows_of
 from signorini_fenicsx.meshes.checks import FileMesh, faces
-from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, brought_together, distribute, marked
+from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, brought_together, distribute, in_regions, marked
 
 type Entities = npt.NDArray[np.int32]
 
@@ -38,7 +38,6 @@ def gathered(
 ) -> FileMesh | None:
     """The whole mesh on rank 0 in the order in which it was made; None elsewhere (collective)."""
     dim, comm, nodes = mesh.topology.dim, mesh.comm, mesh.geometry.index_map()
-    size = number_of_cells(mesh)
 
     def numbers(local: Entities) -> Indices:
         return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
@@ -47,13 +46,10 @@ def gathered(
         name: numbers(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, chosen)).reshape(-1, dim)
         for name, chosen in parts.items()
     }
-    inside = np.zeros((size, len(regions)), dtype=bool)
-    for column, chosen in enumerate(regions.values()):
-        inside[chosen, column] = True
     points = gather_rows(comm, mesh.geometry.x[: nodes.size_local, :dim])
     made = gather_rows(comm, mesh.geometry.input_global_indices[: nodes.size_local])
-    cells, rows = gather_rows(comm, numbers(cell_nodes(mesh))), gather_rows(comm, inside)
-    cells_made = gather_rows(comm, original_cells(mesh))
+    cells, cells_made = gather_rows(comm, numbers(cell_nodes(mesh))), gather_rows(comm, original_cells(mesh))
+    rows = gather_rows(comm, in_regions(regions, number_of_cells(mesh)))
     of_parts = {name: gather_rows(comm, chosen) for name, chosen in facets.items()}
     if points is None or made is None or cells is None or rows is None or cells_made is None:
         return None
@@ -96,9 +92,7 @@ def handed_out(
     if whole is not None:
         points, cells, facets = whole.points, whole.cells, whole.parts
         together = _together(whole, pairs)
-        inside = np.zeros((len(cells), len(regions)), dtype=bool)
-        for column, chosen in enumerate(whole.regions.values()):
-            inside[chosen, column] = True
+        inside = in_regions(whole.regions, len(cells))
     parts = {part: axis_part(label) for part, label in labels.items()}
     mesh = distribute(comm, points, cells, dim, together=together)
     there, together_in_pairs = marked(mesh, facets, inside, regions), tuple(map(tuple, pairs))

@@ -14,6 +14,7 @@ from signorini_fenicsx import Corners, Diffusion, Obstacle, Options, Signorini, 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.discrete.hybrid_system import HybridSystem
 from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.rt1_solution import RT1Solution
@@ -67,6 +68,19 @@ def test_adaptive_bound():
     lowest, of_lowest = adapt_case(case.with_values({"solve.element": "RT0"}), max_cells=1200)
     assert lowest.options.element == "RT0"
     assert 6 * certificate.bound < of_lowest.bound
+
+
+def test_nothing_is_corrected_where_no_flux_leaves(monkeypatch: pytest.MonkeyPatch):
+    """Fluxes whose jumps are rounding beside those inside need no correction, though σ·n is 0 on the boundary."""
+    corrections, recover = [], HybridSystem.recover
+
+    def noted(self: HybridSystem, x: np.ndarray, **how: bool) -> tuple[np.ndarray, np.ndarray]:
+        corrections.extend([1] * (not how.get("with_f", True)))
+        return recover(self, x, **how)
+
+    monkeypatch.setattr(HybridSystem, "recover", noted)
+    assert np.abs(of_case("two_obstacles", 1 / 8).sigma.x.array).max() > 0.04
+    assert not corrections
 
 
 def test_signs_at_vertices():

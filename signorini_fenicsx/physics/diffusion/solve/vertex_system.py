@@ -181,8 +181,8 @@ class VertexSystem(SoilTraces, HybridSystem):
             u[block.cells.numbers] = of_u
         return sigma, u
 
-    def forces(self, sigma: Array) -> Array:
-        """⟨σ·n, q⟩ summed over the cells for each owned unknown, see `HybridSystem.forces` (collective)."""
+    def through(self, sigma: Array) -> Array:
+        """See `HybridSystem.through`."""
         spaces = self.spaces
         through = np.einsum("nsaj,nsj->nsa", sigma[:, opposite(spaces.dim)], facet_normals(spaces.vertices))
-        return spaces.forces(through[:, :, :, None])
+        return np.asarray(through[:, :, :, None])

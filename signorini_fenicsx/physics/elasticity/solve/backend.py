@@ -77,7 +77,7 @@ class ElasticBackend(TraceBackend):
         def stiff() -> bool:
             return data.stiffness_of_volume(spaces) >= STIFF
 
-        self._normal, self._slip = spaces.site_kinds
+        self._slip = spaces.site_kinds["slip"]
         super().__init__(
             ElasticSystem(spaces, data),
             spaces,

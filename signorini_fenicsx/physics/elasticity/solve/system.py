@@ -190,10 +190,10 @@ class ElasticSystem(HybridSystem):
         forces[blocks] = np.einsum("nij,nj->ni", supports.masses, x.reshape(forces.shape)[blocks])
         return forces.ravel()
 
-    def forces(self, stresses: Array) -> Array:
-        """⟨σn, q⟩ summed over the cells for each owned unknown, from values as `recover` gives them (collective)."""
+    def through(self, sigma: Array) -> Array:
+        """See `HybridSystem.through`."""
         spaces = self.spaces
-        return spaces.forces(np.einsum("nsaij,nsj->nsai", stresses[:, :, : spaces.dim], facet_normals(spaces.vertices)))
+        return np.einsum("nsaij,nsj->nsai", sigma[:, :, : spaces.dim], facet_normals(spaces.vertices))
 
 
 def _softness(compliances: Array) -> Array:
