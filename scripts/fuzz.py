@@ -21,6 +21,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
+from fuzzing import put_configuration
 from fuzzing.judge import (
     BAD,
     ENDINGS,
@@ -38,8 +39,7 @@ from fuzzing.judge import (
 KINDS = {
     **{"case": ("texts", "case_file"), "option": ("texts", "option"), "mesh": ("files", "mesh_file")},
     **{"geo": ("files", "geometry"), "checkpoint": ("files", "checkpoint"), "study": ("texts", "study")},
-    **{"forged": ("files", "forged"), "killed": ("texts", "killed"), "config": ("texts", "configuration")},
-    **{"expression": ("texts", "expression"), "pulse": ("texts", "pulses")},
+    **{"forged": ("files", "forged"), "killed": ("texts", "killed")},
 }
 """For each kind of input the module of `fuzzing` with the function that makes it."""
 
@@ -95,6 +95,8 @@ class Fuzz:
         (root / "home" / ".profile").write_text("the user's", encoding="utf-8")
         (root / "work" / "notes.txt").write_text("the user's", encoding="utf-8")
         broken = self._generators[kind](rng, root / "work", self._valid)
+        if rng.random() < 0.5:
+            put_configuration(rng, root / "work")
         if broken.earlier:
             shutil.copytree(self._valid.shape, root / "work" / "out")
             put_files_of_the_user(root / "work" / "out")

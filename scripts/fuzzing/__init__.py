@@ -43,7 +43,6 @@ class Broken:
         refused: Whether only exit status 2 is right.
         solved: Whether only exit status 0 is right.
         earlier: Whether the output folder has an earlier result and files of the user.
-        flux: Bounds of ‖σ‖ of the exact solution in L², where κ ≤ 1; None if they are not known.
         forged: Beginnings of the names of what is no file of the user, although it was there before.
         homeless: Whether HOME is not set.
         killed: Seconds after which a first run is killed; only the second run is judged.
@@ -54,7 +53,6 @@ class Broken:
     refused: bool = False
     solved: bool = False
     earlier: bool = False
-    flux: tuple[float, float] | None = None
     forged: tuple[str, ...] = ()
     homeless: bool = False
     killed: float | None = None
@@ -242,3 +240,20 @@ def make_odd(rng: random.Random, path: Path) -> str:
     way = rng.choice(list(ODD))
     ODD[way](path)
     return f"{path.name}: {way}"
+
+
+FILES = (".petscrc", "petscrc", "dolfinx_jit_options.json", "ffcx_options.json")
+CONFIGURATIONS = (
+    "-ksp_type nonsense\n", "-help\n", "-ksp_max_it 1 -ksp_type cg -pc_type none\n-snes_atol 1\n", "[", "[]", "{}",
+    '{"cffi_extra_compile_args": "-O0"}', '{"scalar_type": "complex128"}', '{"timeout": "x"}', "\0", "é" * 400,
+    '{"sum_factorization": true, "table_atol": 10.0, "table_rtol": 10.0}',
+)  # fmt: skip
+
+
+def put_configuration(rng: random.Random, folder: Path) -> None:
+    """Put a file of PETSc's or DOLFINx's options into the current folder, which counts only with --local-options."""
+    path = folder / rng.choice(FILES)
+    if rng.random() < 0.35:
+        make_odd(rng, path)
+    else:
+        path.write_text(rng.choice(CONFIGURATIONS), encoding="utf-8")
