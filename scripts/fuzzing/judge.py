@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 
 from fuzzing import OUTPUT, Broken
@@ -229,6 +230,11 @@ def begin_again() -> None:
         os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | wanted)
 
 
+NEEDED = ("cases.inspection", "certificate.adaptive", "cli.adapt_report", "cli.comparison_report", "cli.study_report")
+NEEDED += ("comparing.comparison", "meshes.meshio_files", "output.checkpoint", "studies.runner")
+"""What the commands import when they need it."""
+
+
 def import_everything(pencil: Path) -> None:
     """Import the program without initialising MPI or PETSc.
 
@@ -242,22 +248,14 @@ def import_everything(pencil: Path) -> None:
     import mpi4py
 
     mpi4py.rc.initialize, mpi4py.rc.finalize = False, True
-    import signorini_fenicsx  # isort: skip
+    import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
     import petsc4py.lib
 
     petsc4py.lib.ImportPETSc()  # `from petsc4py import PETSc` would initialise it
     from mpi4py import MPI
 
-    import signorini_fenicsx.cases.inspection
-    import signorini_fenicsx.certificate.adaptive
-    import signorini_fenicsx.cli.adapt_report
-    import signorini_fenicsx.cli.comparison_report
-    import signorini_fenicsx.cli.study_report
-    import signorini_fenicsx.comparing.comparison
-    import signorini_fenicsx.meshes.meshio_files
-    import signorini_fenicsx.output.checkpoint
-    import signorini_fenicsx.studies.runner  # noqa: F401 - what the commands import when they need it
-
+    for name in NEEDED:
+        import_module(f"signorini_fenicsx.{name}")
     if MPI.Is_initialized() or len(os.listdir("/proc/self/task")) > 1:
         sys.exit("MPI or a thread has begun too early: nothing can be forked")
 

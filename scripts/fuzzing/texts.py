@@ -11,7 +11,6 @@ from pathlib import Path
 
 import capabilities
 import typer
-from broken_input import CASE_MUTATIONS
 
 from fuzzing import NUMBERS, OUTPUT, WORDS, Broken, Valid, damaged, make_odd
 from signorini_fenicsx.base.shipped import data_folder
@@ -71,15 +70,13 @@ def _with_a_value(rng: random.Random, text: str) -> str:
 
 
 def broken_toml(rng: random.Random, text: str) -> tuple[bytes, str]:
-    """A case or study with other values, lines or sections, or broken bytes; and how it was broken."""
-    way = rng.choice([*["values"] * 5, "lines", "section", "section", "bytes"])
+    """A case or study with other values or sections, or broken bytes; and how it was broken."""
+    way = rng.choice([*["values"] * 5, "section", "section", "bytes"])
     if way == "bytes":
         return damaged(rng, text.encode())
     data = text.encode()
     for _ in range(rng.choice([1, 1, 2])):
-        if way == "lines":
-            data = rng.choice(CASE_MUTATIONS)(rng, data)
-        elif way == "values":
+        if way == "values":
             data = _with_a_value(rng, data.decode()).encode(errors="replace")
         else:
             section = rng.choice(SECTIONS)
@@ -137,15 +134,7 @@ def case_file(rng: random.Random, folder: Path, valid: Valid) -> Broken:
     return _finished(rng, words, f"{name} {way}")
 
 
-CONVERGENCE = """case = "example4"
-[set]
-algorithm = "alg3"
-[vary]
-eps = [1e-2, 1e-6]
-[convergence]
-levels = [1, 2]
-reference = 3
-"""
+CONVERGENCE = capabilities.STUDY + "[convergence]\nlevels = [1, 2]\nreference = 3\n"
 TAME = (b'h = "1/8"', b"levels = [1, 2]\nreference = 3"), (b"problem", b"shape", b"boundary", b"plot", b"case.")
 """What a study has if its runs are small, one of these words, and what none of these has."""
 
