@@ -153,4 +153,12 @@ def _write(case: Path, text: str, comm: MPI.Comm) -> None:
 
     first = on_root(comm, lambda: case_of(seen_from_here(tomllib.loads(text), case.parent), case))
     inspection.check(first, comm)
-    on_root(comm, lambda: case.write_text(text, encoding="utf-8"))
+    on_root(comm, lambda: _put(case, text))
+
+
+def _put(case: Path, text: str) -> None:
+    try:
+        with case.open("x", encoding="utf-8") as file:  # through no link
+            file.write(text)
+    except OSError as error:
+        raise InputError(f"init: {case}: cannot be written ({error.strerror})") from None

@@ -140,6 +140,11 @@ def test_a_file_is_not_replaced(tmp_path: Path):
     done = signorini(tmp_path, "init", "mine.toml", "--on", "bottom=signorini")
     assert (done.returncode, (tmp_path / "mine.toml").read_text()) == (2, "mine")
     assert "must end in .toml" in signorini(tmp_path, "init", "mine", "--on", "bottom=signorini").stderr
+    (tmp_path / "link.toml").symlink_to("other.toml")
+    for name in ("link.toml", "nowhere/first.toml"):
+        done = signorini(tmp_path, "init", name, "--on", "bottom=signorini")
+        assert (done.returncode, f"init: {name}: cannot be written" in done.stderr) == (2, True)
+    assert {path.name for path in tmp_path.iterdir()} == {"mine.toml", "link.toml"}
 
 
 class Answers(io.StringIO):
