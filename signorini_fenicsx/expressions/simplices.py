@@ -15,7 +15,7 @@ from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, inve
 from signorini_fenicsx.base.reference_cells import EDGES, SIMPLEX, orthonormal
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.evaluation import Intervals, values
-from signorini_fenicsx.expressions.intervals import Elementary, Interval, almost_everywhere, enclosing, stacked
+from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth, almost_everywhere, enclosing, stacked
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 
 INSIDE = 0.75
@@ -259,7 +259,10 @@ class _OnSimplices(Differentiated):
         self._where = places
 
     def compare(self, sign: str, left: Dual, right: Dual) -> tuple[Any, ...]:
-        """Compare almost everywhere: if left − right certainly varies along T, both are equal on a set of measure 0."""
+        """Compare almost everywhere: if left − right certainly varies along T, both are equal on a set of measure 0.
+
+        Should the centre be in this set, it is taken for one of the points beside it.
+        """
         over_box, at_centre = super().compare(sign, left, right)
         difference = left - right
         if not difference.gradient:
@@ -273,7 +276,9 @@ class _OnSimplices(Differentiated):
         change = np.fmax.reduce(np.maximum(along.lo, -along.hi), axis=1)
         varies = change > 0
         below, above = varies & (all_values.hi <= 0), varies & (all_values.lo >= 0)
-        return (almost_everywhere(sign, over_box[0], varies, below, above),), at_centre
+        everywhere, (here,) = almost_everywhere(sign, over_box[0], varies, below, above), at_centre
+        beside = Truth(*(everywhere.surely | (known & everywhere.possibly) for known in (here.surely, here.possibly)))
+        return (everywhere,), (beside,)
 
 
 def changes(slope: Interval, arms: Array, pad: Array) -> Interval:

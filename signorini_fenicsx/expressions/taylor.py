@@ -166,19 +166,23 @@ class _Taylor(Logic):
         return replace(choice, whole=whole) if name == "max" else choice
 
     def compare(self, sign: str, left: Series, right: Series) -> _Condition:
-        """Compare almost everywhere: if left − right certainly varies, both are equal on a set of measure 0."""
+        """Compare almost everywhere: where left − right has one sign and varies, both are equal on the border alone.
+
+        Inside of regions, where there are points of quadratures, they are then equal nowhere.
+        """
         a = left - right
         whole = a.range()
         lo, hi = whole.lo, whole.hi
-        varies, below, above = np.asarray(False), np.asarray(False), np.asarray(False)
+        below, above = np.asarray(False), np.asarray(False)
         if a.corners is not None and a.layers[0] is not None:
             least, most = along(np.zeros(1), a.layers[0], a.corners)
             change = np.where(a.rough == 0, np.maximum(np.fmax(least, -most).max(axis=0), 0.0), 0.0)
             varies, slack = change > 0, self._regions.near * change
             below, above = varies & (hi <= slack), varies & (lo >= -slack)
         everywhere = Intervals({}, NUMPY).compare(sign, whole, enclosing(0.0))
-        truth = almost_everywhere(sign, everywhere, varies, below, above)
-        condition = _Condition(truth.surely, truth.possibly, np.asarray(COMPARISONS[sign](a.at, 0.0)))
+        truth = almost_everywhere(sign, everywhere, below | above, below, above)
+        here = (COMPARISONS[sign](a.at, 0.0) | truth.surely) & truth.possibly  # a centre may be on the border
+        condition = _Condition(truth.surely, truth.possibly, np.asarray(here))
         self._record(a, condition.possibly & ~condition.surely)
         return condition
 

@@ -1,5 +1,6 @@
 """Enclosures are true in all points, find what quadrature misses, and are sharp for smooth data."""
 
+import math
 import random
 from itertools import permutations
 
@@ -174,10 +175,19 @@ KINKS = (
     "max(0.1, max(x - y, 0) - 0.05)^3",
     "tanh(5*abs(x - 0.31))",
 )
+OTHERS = (
+    "erf(9*(x - y^2))",
+    "log(0.1 + x)*(1 + y)",
+    "(0.2 + x)^(1 + 9*y)",
+    "exp(5*x) if x > 0.31 and not y > 0.52 else y",
+    "sin(9*x) if y != x else 3",
+    "sin(9*x) if y < x else 3",  # cells meet there
+    "3 if x + y == 1 else sin(9*x)",
+)
 
 
-@pytest.mark.parametrize("text", KINKS)
-def test_kinks_are_near_polynomials(text: str):
+@pytest.mark.parametrize("text", KINKS + OTHERS)
+def test_texts_are_near_polynomials(text: str):
     """No polynomial is nearer in the mean than the enclosures say that one is in all points."""
     tree, vertices, rng = read(text, "xy"), squares(5), np.random.default_rng(3)
     within = distances(tree, vertices, Frame(np.array([[0.0, 0.0], [1.0, 1.0]]), 50, MPI.COMM_SELF), np.zeros(50))
@@ -188,6 +198,20 @@ def test_kinks_are_near_polynomials(text: str):
     rest = np.sqrt(((seen - seen @ basis @ basis.T) ** 2).mean(axis=1))
     assert (rest > 1e-5).any()
     assert (rest <= within * (1 + 1e-9) + 1e-12).all()
+
+
+@pytest.mark.parametrize("text", ["3 if x == y else 7*x", "7*x if x != y else 3"])
+def test_lines_have_no_measure(text: str):
+    """Nor where points of quadratures and centroids are on them."""
+    tree, vertices = read(text, "xy"), np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
+    zero, frame = constant(np.zeros(1), 2), Frame(np.array([[0.0, 0.0], [1.0, 1.0]]), 1, MPI.COMM_SELF)
+    for found in (
+        means(tree, vertices, zero, frame, np.full(1, 1e8)),
+        enclose(tree, vertices, zero, np.full(1, 1e-3), NUMPY),
+    ):
+        assert found.mean.lo - 1e-9 <= 7 / 3 <= found.mean.hi + 1e-9
+        assert math.sqrt(49 / 6) - 1e-9 <= found.norm < 4
+    assert means(tree, vertices, zero, frame, np.full(1, 1e8)).mean.hi < 2.334
 
 
 def test_curved_kinks_in_space():
