@@ -120,27 +120,30 @@ def draw_study(path: Path, rows: Sequence[Row], keys: Sequence[str], title: str)
     if wanted is None:
         return False
     count = len(wanted.panels)
-    sheet, handles = Sheet([SIZE[0]] * count, [SIZE[1]], bars=wanted.y is not None, title=title), []
+    sheet, handles = Sheet([SIZE[0]] * count, [SIZE[1]], bars=wanted.y is not None, title=title), dict[str, Any]()
     for column, (key, name) in enumerate(wanted.panels.items()):
         axes = sheet.panel(0, column, aspect=None if wanted.y is None else SIZE[0] / SIZE[1])
         axes.set(title=name, xlabel=short(wanted.x, wanted.keys))
         if wanted.y is None:
-            handles = _curves(axes, done, wanted, key)
+            handles |= _curves(axes, done, wanted, key)
         else:
             _map(sheet, axes, done, wanted, key)
-    sheet.legend_below(handles if wanted.curves and len(handles) <= MOST_CURVES else [])
+    sheet.legend_below(list(handles.values()) if wanted.curves and len(handles) <= MOST_CURVES else [])
     sheet.save(path)
     return True
 
 
-def _curves(axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) -> list[Any]:
-    """A result over x, one curve for each combination of the other values; curves differ not by colour alone."""
+def _curves(axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) -> dict[str, Any]:
+    """A result over x, one curve for each combination of the other values; those that have it by their labels.
+
+    Curves differ not by colour alone.
+    """
     groups: dict[str, list[Row]] = {}
     for row in rows:
         values = [f"{short(name, wanted.keys)} = {value_in_words(row.get(name))}" for name in wanted.curves]
         groups.setdefault(", ".join(values), []).append(row)
     numeric = all(_is_number(row.get(wanted.x)) for row in rows)
-    handles = []
+    handles = {}
     for index, (label, own) in enumerate(groups.items()):
         if numeric:
             own = sorted(own, key=lambda row: row[wanted.x])
@@ -152,7 +155,8 @@ def _curves(axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) -> list[Any
         proved = [(place, *ends) for place, row in zip(x, own, strict=True) if (ends := _interval(row, key))]
         if proved:
             axes.vlines(*zip(*proved, strict=True), color=curve.get_color(), linewidth=3, alpha=0.4)
-        handles.append(curve)
+        if np.isfinite(y).any():
+            handles[label] = curve
     if numeric and _spreads([row[wanted.x] for row in rows]):
         axes.set_xscale("log")
     results = [row[key] for row in rows if _is_number(row.get(key))]

@@ -223,7 +223,9 @@ def test_a_picture_shows_the_quantities_that_were_asked_for(tmp_path: Path, monk
     assert list(plan(rows, ["word", "x"]).panels.items()) == [("quantities.flow.value", "flow"), ("iterations",) * 2]
     drawn = []
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
-    assert draw_study(tmp_path / "study.png", rows, ["word", "x"], "A study")
+    without = {"status": "done", "word": "idle", "x": 1}  # has no curve, and so no entry of the legend
+    assert draw_study(tmp_path / "study.png", [*rows, without], ["word", "x"], "A study")
+    assert {text.get_text() for text in drawn[0].legends[0].get_texts()} == {"word = one", "word = two"}
     bars = [path.vertices[:, 1] for each in drawn[0].axes[0].collections for path in each.get_paths()]
     np.testing.assert_array_equal(bars, [[1.5, 2.5]] * 4)
     assert not drawn[0].axes[1].collections
