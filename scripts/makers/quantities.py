@@ -89,7 +89,7 @@ def total(function: Function, places: tuple[float, ...]) -> float:
 
 
 def draw(rng: np.random.Generator, size: float = 1.0, name: str = "x") -> Text:
-    """A random text, with jumps or kinks or smooth."""
+    """A random text: with jumps or kinks, with a pulse that quadrature misses, or smooth."""
     a, b, c = np.round(rng.uniform(-size, size, 3), 3).tolist()
     s, t = np.round(np.sort(rng.uniform(0.05, 0.95, 2)), 3).tolist()
     texts = [
@@ -101,6 +101,7 @@ def draw(rng: np.random.Generator, size: float = 1.0, name: str = "x") -> Text:
         Text(f"{a}*sin(5*{name}) + {b}*exp({name})"),
         Text(f"{a}*sqrt(abs({name} - {t}) + 0.05)", (t,)),
         Text(f"{a}*sin(25*{name})"),
+        Text(f"{b} + {1e6 * a}*max(0, 0.001 - abs({name} - {t}))", (t - 0.001, t, t + 0.001)),
     ]
     return texts[rng.integers(len(texts))]
 
