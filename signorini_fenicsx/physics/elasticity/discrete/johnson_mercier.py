@@ -26,22 +26,15 @@ class Reference:
     """Functions on the reference cell, which all cells share.
 
     Attributes:
-        dim: d.
         stresses: Values of the basis, those of divergence zero first, then one for each moment of the divergence
             against a hat function of a vertex and a component: shape ((d + 1)², entries, basis).
         free: Number of stresses of divergence zero.
         tractions: ⟨φ_a e_r, τ̂n̂⟩ over each facet, φ_a the hat of its vertex a: shape ((d + 1) d², basis).
     """
 
-    dim: int
     stresses: Array
     free: int
     tractions: Array
-
-    @cached_property
-    def pairs(self) -> list[tuple[int, int]]:
-        """Row and column of each entry."""
-        return entries(self.dim)
 
 
 @lru_cache
@@ -74,7 +67,7 @@ def reference(dim: int) -> Reference:
     mass = (1 + np.eye(dim)) / (dim * (dim + 1))
     pulls = np.einsum("svrcb,sc->svrb", matrices[:, :dim], normals)  # outer vertices are the first ones of a subcell
     tractions = np.einsum("av,svrb->sarb", mass, pulls).reshape(size * dim * dim, -1) @ basis
-    return Reference(dim, basis.reshape(size * size, len(pairs), -1), balanced.shape[1], tractions)
+    return Reference(basis.reshape(size * size, len(pairs), -1), balanced.shape[1], tractions)
 
 
 def to_matrices(values: Array) -> Array:
