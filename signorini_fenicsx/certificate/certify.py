@@ -168,11 +168,12 @@ class Bounds:
         of_solution: Gives the certificate of a solution, with `for_signorini` of that to the problem without penalty.
         of_field: Gives the bound of a function, from a solution on its mesh.
         of_steps: Begins with the certificates of the steps of a problem in time; its `certify` takes one after another.
+            None where that of a step is that of its solution.
     """
 
     of_solution: Callable[..., Certificate]
     of_field: Callable[[Any, fem.Function], FieldBound]
-    of_steps: Callable[[], Any]
+    of_steps: Callable[[], Any] | None = None
 
 
 @overload

@@ -20,6 +20,8 @@ class StepBounds:
         """Bound the error of a step after those before it (collective)."""
 
         def of_step(bounds: Bounds) -> Certificate:
+            if bounds.of_steps is None:
+                return bounds.of_solution(instant.solution)
             self._of = self._of or bounds.of_steps()
             return self._of.certify(instant)
 

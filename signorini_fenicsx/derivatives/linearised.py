@@ -190,10 +190,10 @@ class Linearised(ABC):
 
 def to_values(facets: BoundaryFacets) -> Array:
     """The matrices from moments to the values of linear functions at the vertices, shape (facets, d, d)."""
-    return linear_values(_units(facets), facets.measure)
+    return linear_values(units(facets), facets.measure)
 
 
-def _units(facets: BoundaryFacets) -> Array:
+def units(facets: BoundaryFacets) -> Array:
     """A unit matrix for each facet, shape (facets, d, d)."""
     dim = facets.vertices.shape[1]
     return np.broadcast_to(np.eye(dim), (len(facets.facets), dim, dim))
@@ -206,7 +206,7 @@ def by_moments(
     datum: Datum,
     facets: BoundaryFacets,
     places: AnyIndices,
-    matrices: Array | None = None,
+    matrices: Array,
     degree: int = DEGREES[0] + 1,
 ) -> Iterator[tuple[str, Effect]]:
     """What the moments of a datum over facets make, part by part, if it is given in UFL (collective).
@@ -218,10 +218,9 @@ def by_moments(
         datum: The datum.
         facets: The facets.
         places: As in `Effect`, those of each facet.
-        matrices: Likewise; None where the moments themselves are added.
+        matrices: Likewise.
         degree: Of the quadrature by which the discrete problem has them.
     """
-    matrices = _units(facets) if matrices is None else matrices
     for number, (chosen, part) in enumerate(datum.by_facets(facets.facets)):
         if part.pieces is None:
             seen = moments_seen(spaces, part, facets.take(np.flatnonzero(chosen)), min(degree, DEGREES[1]))

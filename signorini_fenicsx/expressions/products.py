@@ -19,7 +19,7 @@ from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.expressions.tree import Tree, is_polynomial, polynomial_degree
 
 EXACT = 15
-"""Polynomials up to this degree are integrated exactly."""
+"""Polynomials up to this degree, and their squares, are integrated exactly."""
 OF_SUMS, SHARPEST = 1e-12, 1e-10
 """Rounding of a sum as a share of that of the sizes, and the sharpest that is aimed at, as a share of it."""
 SMALLEST = 1e-100

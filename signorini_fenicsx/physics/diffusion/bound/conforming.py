@@ -46,6 +46,7 @@ from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, in_cells
+from signorini_fenicsx.expressions.products import EXACT
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
 from signorini_fenicsx.physics.diffusion.bound.cell_springs import LawPieces
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside, add_load
@@ -63,7 +64,6 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.rays import BoundedSimplices, Ray
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Stiffness, Weight, relax
-from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.nodes import (
     Jumps,

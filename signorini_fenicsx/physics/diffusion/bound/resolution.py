@@ -31,15 +31,13 @@ from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
-from signorini_fenicsx.expressions.products import SMALLEST
+from signorini_fenicsx.expressions.products import EXACT, SMALLEST
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.simplices import Polynomial, Quadratic
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric, facet_constants
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
-EXACT = 15
-"""Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""
 MUCH = 0.5
 """If enclosures add more than this share of the bound, data are not resolved."""
 SHARE, QUANTUM = 0.02, 1e-6

@@ -29,7 +29,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
-from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved, by_moments, to_values
+from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved, by_moments, to_values, units
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
@@ -77,12 +77,12 @@ class LinearisedFluxes(HybridLinearised):
     def effects(self) -> Iterator[tuple[str, Effect]]:
         """What u_D and g_N make: values of û ("lift"), its right side ("load") (collective)."""
         spaces, data = self._spaces, self._data
-        for name, datum, facets, kind in (
-            ("u_D", data.u_D, spaces.dirichlet, "lift"),
-            ("g_N", data.g_N, spaces.neumann, "load"),
+        for name, datum, facets, kind, matrices in (
+            ("u_D", data.u_D, spaces.dirichlet, "lift", to_values),
+            ("g_N", data.g_N, spaces.neumann, "load", units),
         ):
-            matrices, degree = to_values(facets) if kind == "lift" else None, quadrature_degree(datum) + 1
-            yield from by_moments(spaces, name, kind, datum, facets, spaces.unknowns(facets), matrices, degree)
+            places, degree = spaces.unknowns(facets), quadrature_degree(datum) + 1
+            yield from by_moments(spaces, name, kind, datum, facets, places, matrices(facets), degree)
 
     def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
         """See `Linearised.lines` (collective)."""

@@ -70,21 +70,19 @@ def why_no_constant(spaces: ElasticSpaces) -> str:
     return "as the mesh is large" if unknowns > MOST[spaces.dim] else ""
 
 
-def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask, length: float) -> float:
+def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask) -> float:
     """C, or ∞ if no θ that was tried is small enough (collective).
 
     Args:
         spaces: The spaces.
         compliance: On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries).
         loaded: Mask of the facets with r, opposite to the vertices of each cell, shape (cells, d + 1).
-        length: l.
     """
-    given = regular(compliance), loaded, np.array(length)
-    kept, comm = spaces.kept_results, spaces.mesh.comm
-    return kept.get(comm, "constant of body", None, given, lambda: _by_factorisations(spaces, *given[:2], length))
+    given, kept = (regular(compliance), loaded), spaces.kept_results
+    return kept.get(spaces.mesh.comm, "constant of body", None, given, lambda: _by_factorisations(spaces, *given))
 
 
-def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask, length: float) -> float:
+def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask) -> float:
     """C, found anew (collective)."""
     comm, softness = spaces.mesh.comm, np.linalg.eigvalsh(compliance)[:, -1]
     constants = korn_constants(Cells(spaces.vertices).derivative) * np.sqrt(softness)
@@ -92,7 +90,7 @@ def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask, l
     softest, of_cells = (comm.allreduce(each, MPI.MAX) for each in ends)
     theta = 1 / (FIRST * softest * spaces.length**2)
     for _ in range(TRIES):
-        if _is_positive(spaces, compliance, theta * length * loaded, theta):
+        if _is_positive(spaces, compliance, theta * length_of_facets(spaces) * loaded, theta):
             return float(1 / math.sqrt(theta) + MOMENTS[spaces.dim] * of_cells)
         theta /= FINER
     return math.inf

@@ -7,19 +7,8 @@ jumps from facet to facet. With a continuous one, the v of the last certificate 
 means, bounds of bodies that stick were larger by 3 to 35 %.
 """
 
-from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import Bounds
 from signorini_fenicsx.physics.elasticity.bound.certify import certificate_of
 from signorini_fenicsx.physics.elasticity.bound.of_field import field_bound
-from signorini_fenicsx.solving.evolving import Instant
 
-
-class StepBounds:
-    """Certificates of the steps of an elastic body."""
-
-    def certify(self, instant: Instant) -> Certificate:
-        """Bound the error of a step, see `certificate_of` (collective)."""
-        return certificate_of(instant.solution)
-
-
-BOUNDS = Bounds(certificate_of, field_bound, StepBounds)
+BOUNDS = Bounds(certificate_of, field_bound)

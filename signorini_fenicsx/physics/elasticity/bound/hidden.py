@@ -42,6 +42,7 @@ from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.discrete.vectors import PressureDatum, VectorDatum
 from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
+from signorini_fenicsx.expressions.products import SMALLEST
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
 from signorini_fenicsx.expressions.simplices import Parts, Quadratic, barycentric, barycentric_gradients, through
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, constant_of_facets, length_of_facets
@@ -65,8 +66,6 @@ LEAST_WEIGHT = 0.01
 """What is added to weights of facets, whose largest is 1."""
 HALVINGS = 5
 """Parts of facets on which ĝ − g may be large are halved so often."""
-SMALLEST = 1e-100
-"""Tolerances are at least this."""
 
 
 def is_enclosed(datum: VectorDatum | PressureDatum) -> bool:
@@ -192,7 +191,7 @@ def missed(resolution: Resolution, compliance: Array, counted: Array) -> tuple[A
     loaded = np.zeros((len(counted), spaces.dim + 1), dtype=bool)
     for facets, _ in tractions:
         loaded[facets.cells, facets.local] = True
-    of_body = constant_of_body(spaces, compliance, loaded, length_of_facets(spaces))
+    of_body = constant_of_body(spaces, compliance, loaded)
     if not math.isfinite(of_body):
         resolution.no_constant = "as no constant of Korn was found for the body"
         return np.zeros_like(counted), 0.0
