@@ -25,7 +25,7 @@ STEPS, HALVINGS = 100, 50
 FALLS = 1e-4
 """by this share of the step."""
 CLOSE = 4e-16
-"""A step of this share of u is none."""
+"""A step of this share of u, or of what would change the balance by its load, is none."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,9 @@ class Storing:
         u = means.copy()
         value, slope = left(u)
         for _ in range(STEPS):
-            step, size = -np.linalg.solve(slope, value[:, :, None])[:, :, 0], np.linalg.norm(value, axis=1)
-            share, rounding = np.ones((len(u), 1)), CLOSE * (np.abs(u) + np.abs(means))
+            step, of_given = np.moveaxis(np.linalg.solve(slope, np.stack([-value, np.abs(given)], axis=2)), 2, 0)
+            share, size = np.ones((len(u), 1)), np.linalg.norm(value, axis=1)
+            rounding = CLOSE * (np.abs(u) + np.abs(means) + np.abs(of_given))
             for _ in range(HALVINGS):
                 found = left(u + share * step)
                 rises = np.linalg.norm(found[0], axis=1) > (1 - FALLS * share[:, 0]) * size
