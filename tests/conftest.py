@@ -74,14 +74,14 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 @pytest.fixture(autouse=True)
 def collect_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Free meshes between tests only, as commands do (see `parallel.collect_garbage`); on one rank once a second.
+    """Free meshes between tests only, as commands do (see `parallel.collect_garbage`), once a second.
 
     Modules that tests have imported are frozen, as those before.
     """
     gc.disable()
     yield
-    stash, now = request.config.stash, time.monotonic()
-    if MPI.COMM_WORLD.size > 1 or now > stash.get(COLLECTED, 0.0) + 1:
+    stash, now = request.config.stash, MPI.COMM_WORLD.bcast(time.monotonic())
+    if now > stash.get(COLLECTED, 0.0) + 1:
         collect_garbage(MPI.COMM_WORLD)
         stash[COLLECTED] = now
         if MPI.COMM_WORLD.size == 1 and len(sys.modules) > stash.get(MODULES, 0):

@@ -9,7 +9,7 @@ from commands import read_rows
 
 
 def test_reproduce_and_draw_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """Items that share runs; then the pictures again, without new runs."""
+    """Items that share runs; then a picture again, without new runs."""
     names = ["table1", "figure2", "figure3"]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(reproduce, "QUICK_LEVELS", [2, 3])
@@ -24,15 +24,15 @@ def test_reproduce_and_draw_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert f'<img src="{name}.png"' in page
         assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
         assert (folder / f"{name}.png").stat().st_size > 10_000
-        (folder / f"{name}.png").unlink()
     rows = read_rows(folder / "table1.csv")
     assert [row["h"] for row in rows] == ["2^-2", "2^-3"]
     names_of_columns = (folder / "table1.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert len(set(names_of_columns)) == len(names_of_columns) == 9
     assert "<td>1.65</td>" in page  # the slides' error beside ours
-    monkeypatch.setattr(sys, "argv", ["reproduce.py", "--quick", *names[1:]])
+    (folder / "figure3.png").unlink()
+    monkeypatch.setattr(sys, "argv", ["reproduce.py", "--quick", "figure3"])
     assert reproduce.main() == 0
-    assert all((folder / f"{name}.png").exists() for name in names[1:])
+    assert (folder / "figure3.png").exists()
     assert "1 runs were finished before" in capsys.readouterr().out
     assert (folder / "index.html").read_text(encoding="utf-8") == page  # with the table
 

@@ -58,7 +58,7 @@ def test_solutions():
     case = load_case("example2")
     found = []
     for comm in (COMM, MPI.COMM_SELF)[: COMM.size]:
-        coarse, middle, fine = (solve_case(case.with_values({"solve.h": h}), comm) for h in (1 / 3, 1 / 6, 1 / 12))
+        coarse, middle, fine = (solve_case(case.with_values({"solve.h": h}), comm) for h in (0.4, 0.2, 0.1))
         far, near, back = compare(coarse, fine), compare(middle, fine), compare(fine, middle)
         assert near.norms == back.norms
         assert (near.jaccard, near.hausdorff) == (back.jaccard, back.hausdorff)

@@ -118,7 +118,7 @@ def test_backends_regions_quantities_and_files(tmp_path: Path):
     square = build_domain(COMM, "square", 0.2, mesh="structured")
     conditions = [Signorini("bottom", psi=-0.05), Neumann(["left", "right"], 0)]
     problem = Diffusion(f=1, kappa="1 + x*y", b=B, conditions=conditions)
-    fine = solve(build_domain(COMM, "square", 0.12, mesh="structured"), problem, RT1)
+    fine = solve(build_domain(COMM, "square", 0.15, mesh="structured"), problem, RT1)
     values = fine.flux_through("bottom"), fine.spaces.integrate(fine.u * ufl.dx)
     for element in ("RT0", "RT1"):
         solution = solve(square, problem, Options(element=element))

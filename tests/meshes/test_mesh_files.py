@@ -210,7 +210,7 @@ def test_any_unit_of_length(tmp_path: Path):
             solutions.append(solve_case(load_case(path).with_values({"problem.f": f"10*(x/{s!r} - 0.4)/{s!r}^2"})))
         result = compare(*solutions)
         rows: list[AdaptRow] = []
-        adapt_case(case_of(solutions[0]), max_cells=150, on_row=rows.append)
+        adapt_case(case_of(solutions[0]), max_cells=100, on_row=rows.append)
         relative = [(row.cells, row.contact_facets, row.iterations, row.relative) for row in rows]
         numbers = [result.jaccard, result.hausdorff / s, result.relative["u_Q"], result.relative["p_Lambda"]]
         found.append((numbers, relative))

@@ -12,6 +12,7 @@ from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.quantities import Energy, Force, Integral, Mean, Moment, Quantity
+from signorini_fenicsx.quantities.bracket import Ends, bracket
 
 COMM = MPI.COMM_WORLD
 JUMP = "1 if x < 0.3 else 0"
@@ -46,9 +47,8 @@ def test_kinks_on_the_boundary():
 
 
 @pytest.mark.parametrize("parts", ["left", ["left", "bottom"]])
-def test_force_of_a_load_with_a_kink(parts: str | list[str], monkeypatch: pytest.MonkeyPatch):
+def test_force_of_a_load_with_a_kink(parts: str | list[str]):
     """On all that holds a body the force, or the moment, is that of loads that quadrature does not integrate."""
-    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 6)  # more find nothing but rounding
     below = Contact("bottom", gap=0.01) if "bottom" in parts else Neumann("bottom")
     conditions = [below, Dirichlet("left", [0, 0]), Neumann("top", ["abs(x - 0.37)", 0]), Neumann("right")]
     solution = solve(square(3), Elasticity(1.0, 0.3, f=["0.5*abs(x - 0.43)", "0.1"], conditions=conditions))
@@ -91,3 +91,30 @@ def test_random_exact():
     rows = [row for seed in range(30) for row in against_exact(seed)]
     assert not [words for words, guaranteed, inside in rows if guaranteed and not inside]
     assert sum(guaranteed for _, guaranteed, _ in rows) > len(rows) / 2
+
+
+@pytest.mark.parametrize("best", [-12, -13, 11])
+def test_the_search_is_fast_where_intervals_are_proportional(best: int):
+    """Longer steps find the best τ as well, in either direction."""
+    tried = list[float]()
+
+    def ends(tau: float) -> Ends:
+        tried.append(tau)
+        length = (tau / 2.0**best + 2.0**best / tau) / 2
+        return Ends(-length, length, 1.0, "")
+
+    assert bracket(ends, 1.0, 0.0).width == 2
+    assert len(tried) <= 11
+
+
+def test_the_search_ends_where_a_quantity_is_known():
+    """Where each smaller τ gives a shorter interval, because the quantity is known but for rounding."""
+    tried = list[float]()
+
+    def ends(tau: float) -> Ends:
+        tried.append(tau)
+        return Ends(1.0, 1 + 1e-3 * tau, 1.0, "")
+
+    assert 0 < bracket(ends, 1.0, 1.0).width <= 1e-8
+    assert min(tried) == 2.0**-19
+    assert len(tried) == 7

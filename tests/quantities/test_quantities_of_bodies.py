@@ -83,9 +83,8 @@ def inside(found: Quantity, known: float, width: float = 1e-6) -> bool:
 @pytest.mark.parametrize(
     "friction", [pytest.param(Tresca(0.02), marks=pytest.mark.slow), Coulomb(0.2)], ids=["tresca", "coulomb"]
 )
-def test_sliding(friction: Tresca | Coulomb, monkeypatch: pytest.MonkeyPatch):
+def test_sliding(friction: Tresca | Coulomb):
     """All quantities of a body in a uniform state; under Coulomb's friction they have the name of Tresca's problem."""
-    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 14)  # more find nothing but rounding
     solution = solve(build_domain(COMM, "square", 1 / 2, mesh="structured"), sliding(friction))
     for kind, known in SLIDING if isinstance(friction, Tresca) else SLIDING[:3]:
         found = solution.quantity(kind)
@@ -96,9 +95,8 @@ def test_sliding(friction: Tresca | Coulomb, monkeypatch: pytest.MonkeyPatch):
         assert ("Tresca" in str(summary.get("guaranteed_for"))) is isinstance(friction, Coulomb)
 
 
-def test_sliding_in_space(monkeypatch: pytest.MonkeyPatch):
+def test_sliding_in_space():
     """In space, too, the slip of a foundation moves with it, and has two components."""
-    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 14)  # more find nothing but rounding
     solution = solve(build_domain(COMM, "cube", 1.8, mesh="structured"), sliding(Tresca(0.02), dim=3))
     slip, moment = Mean(parts="bottom", direction=[1, 0, 0]), Moment("bottom", [0, 1, 0])
     for kind, known, width in ((moment, -0.05, 1e-5), (slip, 0.05, 2e-3)):

@@ -95,9 +95,8 @@ def test_under_tools():
     assert far.lower <= -a <= far.upper
 
 
-def test_on_loaded_and_guided_parts(monkeypatch: pytest.MonkeyPatch):
+def test_on_loaded_and_guided_parts():
     """Parts with a pressure, and those that are fixed in the normal direction, have means, too."""
-    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 8)  # more find nothing but rounding
     conditions = [
         Pressure("top", 0.1),
         Contact("bottom"),
