@@ -23,7 +23,7 @@ LEFT, RIGHT, ABOVE, BELOW = 0.75, 0.2, 0.36, 0.54
 BAR = 1.05
 """Room for a colour bar with its numbers and label on the right of a panel."""
 EDGE = 0.1
-LINE, ENTRY = 0.2, 0.21
+LINE, ENTRY = 0.25, 0.21
 """Height of a line of the title and of a row of the legend."""
 LINES = 10
 """Most lines of the title."""

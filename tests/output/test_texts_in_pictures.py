@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dolfinx.mesh import CellType, create_rectangle
+from matplotlib import rc_context
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Coulomb, Diffusion, Elasticity, Neumann, Signorini, domain_of, solve
@@ -50,6 +51,18 @@ def test_any_text_can_be_drawn(tmp_path: Path, caplog: pytest.LogCaptureFixture)
     assert len(sheet._lines) == LINES
     rows = [{"status": "done", "name": text, "iterations": place} for place, text in enumerate(UNREADABLE)]
     assert draw_study(tmp_path / "b.png", rows, ["name"], UNREADABLE[0])
+
+
+def test_titles_of_many_lines_are_apart_from_panels():
+    """Lines with powers are higher than others; the title stays above those of the panels by half a line."""
+    with rc_context(STYLE):
+        sheet = Sheet([3], [2], title="\n".join([r"at most $1.10\times 10^{-4}$ of $\|\sigma_h\|$"] * 8))
+        axes = sheet.panel(0, 0)
+        axes.set_title("stress")
+        sheet.legend_below([])
+        sheet.draw_without_rendering()
+        title, below = sheet._suptitle.get_window_extent(), axes.title.get_window_extent()
+        assert title.y0 - below.y1 > 0.5 * below.height
 
 
 def test_names_of_parts_and_titles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
