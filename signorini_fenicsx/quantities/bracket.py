@@ -46,8 +46,8 @@ ENOUGH = 0.98
 NEAR, AHEAD = 1.5, 2
 """In each direction the search ends with an interval that is so many times as long as the best, or after so many that
 gain nothing: where sets of contact change between two τ, one of them may be longer than its neighbours."""
-PROPORTIONAL, FASTEST = 1.002, (1 / 16, 16.0)
-"""While the interval is as long as τ or 1/τ says, but for a factor, the best τ is more than 20 times as far, so that
+PROPORTIONAL, FASTEST = 0.002, (1 / 16, 16.0)
+"""While the interval is as long as τ or 1/τ says, but for this share, the best τ is more than 20 times as far, so that
 steps from one τ to the next one may be squared, up to these: so long is the way where u is known but for rounding."""
 KNOWN = 1e-8
 """The search also ends with an interval that is at most this share of its ends: then they are known but for rounding,
@@ -232,13 +232,18 @@ def bracket(
         tau = first
     for factor in (0.5, 2.0) if math.isfinite(width(tau)) and not (near and alone) else ():
         step, ahead, misses = factor, tau * factor, 0
-        while not tried[tau].known and misses < AHEAD and len(tried) < MOST and width(ahead) < NEAR * width(tau):
-            if width(ahead) < ENOUGH * width(tau):
-                far = width(ahead) < PROPORTIONAL * min(ahead / tau, tau / ahead) * width(tau)
+        while not tried[tau].known and misses < AHEAD and len(tried) < MOST:
+            gain = width(ahead) / width(tau)
+            if gain < ENOUGH:
+                far = abs(gain / min(ahead / tau, tau / ahead) - 1) < PROPORTIONAL
                 step = (step if step in FASTEST else step**2) if far else factor
                 tau, misses = ahead, 0
+            elif step != factor:  # it was too long
+                step, ahead = factor, tau
+            elif gain < NEAR:
+                misses += 1
             else:
-                step, misses = factor, misses + 1
+                break
             ahead *= step
     best = max(tried.values(), key=lambda each: each.lower), min(tried.values(), key=lambda each: each.upper)
     lower, upper = best[0].lower, best[1].upper

@@ -107,6 +107,20 @@ def test_the_search_is_fast_where_intervals_are_proportional(best: int):
     assert len(tried) <= 11
 
 
+@pytest.mark.parametrize(
+    "lengths",
+    [[257, 106, 27.7, 8.17, 5.01, 5.50, 9.56], [16, 8, 5, 4, 5, 10, 20, 40]],
+    ids=["faster than proportional", "after a long step"],
+)
+def test_the_search_passes_no_best(lengths: list[float]):
+    """Steps are longer only where the best τ is far; one that was too long is taken back."""
+
+    def ends(tau: float) -> Ends:
+        return Ends(0.0, dict(enumerate(lengths)).get(round(-np.log2(tau)), 1000.0), 1.0, "")
+
+    assert bracket(ends, 1.0, 0.0).width == min(lengths)
+
+
 def test_the_search_ends_where_a_quantity_is_known():
     """Where each smaller τ gives a shorter interval, because the quantity is known but for rounding."""
     tried = list[float]()
