@@ -120,12 +120,15 @@ AS_SHIPPED = {"vauclin": "phreatic"}
 """Which picture is kept of cases that are drawn on their own mesh, as they are compared with measurements."""
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
 STRIP = {
-    "example2": (0.0715, 0.09, 0.4145, 0.8415),
-    "dam": (0.105, 0.05, 0.87, 0.262),
-    "hertz": (0.165, 0.175, 0.81, 0.855),
-    "ball": (0.062, 0.135, 0.395, 0.842),
+    "example2": (0.0715, 0.4158, 0.4145, 0.0724),
+    "dam": (0.105, 1.2065, 0.87, 0.9373),
+    "hertz": (0.165, 0.8727, 0.81, 0.1534),
+    "ball": (0.062, 0.4046, 0.395, 0.0739),
 }
-"""Pictures of the strip, and which part of each, inside its axes: left, upper, right and lower edge."""
+"""Pictures of the strip, and which part of each, inside its axes: left, upper, right and lower edge.
+
+They are from the left and from below, relative to the width, as lines of a title add to the height.
+"""
 STRIP_HEIGHT, GAP = 260, 20
 
 
@@ -178,8 +181,8 @@ def draw_strip() -> None:
     panels = []
     for name, (left, upper, right, lower) in STRIP.items():
         picture = Image.open(GALLERY / f"{name}.png").convert("RGB")
-        width, height = picture.size
-        panel = picture.crop((round(left * width), round(upper * height), round(right * width), round(lower * height)))
+        corners = np.array([[left, -upper], [right, -lower]]) * picture.width + [0, picture.height]
+        panel = picture.crop(corners.round().astype(int).ravel().tolist())
         panels.append(panel.resize((round(panel.width * STRIP_HEIGHT / panel.height), STRIP_HEIGHT)))
     strip = Image.new("RGB", (sum(panel.width + GAP for panel in panels), STRIP_HEIGHT), "white")
     across = 0
