@@ -1,4 +1,4 @@
-"""Broken case files, studies, command lines and expressions, configuration files, and kills.
+"""Broken case files, studies, command lines and expressions, and kills.
 
 What is broken are the commands and cases of `tests/capabilities.py`, which together take all paths of the program.
 """

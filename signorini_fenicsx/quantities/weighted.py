@@ -100,6 +100,6 @@ class Weighted:
             raise InputError("weight: its integral is 0, so there is no mean with it")
 
 
-def _one(own: Indices, x: Array) -> Array:
+def _one(numbers: Indices, x: Array) -> Array:
     """1 in points."""
     return np.ones(x.shape[:2])
