@@ -41,6 +41,14 @@ def positions(listed: AnyIndices, wanted: AnyIndices) -> npt.NDArray[np.intp]:
     return order[np.searchsorted(listed, wanted, sorter=order)]
 
 
+def rows_of(wanted: Indices, known: Indices) -> Indices:
+    """The number of each wanted row in another array, −1 if it is not there."""
+    _, number = np.unique(np.concatenate([known, wanted]), axis=0, return_inverse=True)
+    row = np.full(int(number.max(initial=-1)) + 1, -1)
+    row[number[: len(known)]] = np.arange(len(known))
+    return row[number[len(known) :]]
+
+
 def gathered(values: Array, numbers: npt.NDArray[np.int32]) -> Array:
     """values[numbers] for numbers of shape (n, …), in Fortran's order."""
     return values.take(numbers.T).T

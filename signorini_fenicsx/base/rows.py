@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, rows_of
 
 DIGITS = 12
 
@@ -132,14 +132,6 @@ def find_rows(comm: MPI.Comm, rows: Indices, tables: Sequence[Indices]) -> Indic
         number = to_keepers.send(first_row(comm, len(table)) + np.arange(len(table)))
         columns.append(np.append(number, -1)[rows_of(asked, to_keepers.send(table))])
     return exchange.answer(np.stack(columns, axis=1))
-
-
-def rows_of(wanted: Indices, known: Indices) -> Indices:
-    """The number of each wanted row in another array, −1 if it is not there (not collective)."""
-    _, number = np.unique(np.concatenate([known, wanted]), axis=0, return_inverse=True)
-    row = np.full(int(number.max(initial=-1)) + 1, -1)
-    row[number[: len(known)]] = np.arange(len(known))
-    return row[number[len(known) :]]
 
 
 def in_digits(places: Array) -> Array:

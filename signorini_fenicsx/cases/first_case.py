@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import rows_of
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.shipped import file_of
@@ -20,7 +21,7 @@ from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.contact.law import LawWithMemory, names_of_data
 from signorini_fenicsx.contact.laws import LAWS
 from signorini_fenicsx.meshes.bodies import Bodies, Body
-from signorini_fenicsx.meshes.checks import faces, rows_of
+from signorini_fenicsx.meshes.checks import faces
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.shapes import full_name, shape_of
 from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS

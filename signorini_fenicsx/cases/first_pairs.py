@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.rows import joined, rows_of
+from signorini_fenicsx.base.arrays import Array, Indices, rows_of
+from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.discrete.overlay import WHOLE, Surface, overlay
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.seams import unit_normals

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 
 from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.parallel import collector_off
@@ -97,6 +96,8 @@ def _apart(one: Columns | None, other: Columns | None, comm: MPI.Comm) -> float 
     points = [np.column_stack([table[axis] for axis in AXES if axis in table]) for table in (one, other)]
     found = None
     if all(map(len, points)):
+        from scipy.spatial import cKDTree  # slow to import
+
         pairs = (points, points[::-1])
         found = max(float(cKDTree(of).query(x)[0].max()) for x, of in pairs)
     return comm.bcast(found)

@@ -192,11 +192,11 @@ def note_facing(spaces: MeshSpaces, contact: Array, normals: Array, gap: Array) 
         normals: Their outer unit normals.
         gap: The gap on each of them.
     """
-    from scipy.spatial import cKDTree  # slow to import
-
     comm, of_body = spaces.mesh.comm, spaces.bodies[spaces.cells[spaces.outer_rows]]
     if not comm.allreduce(bool(len(gap) > 0), MPI.LOR) or not comm.allreduce(bool(spaces.bodies.any()), MPI.LOR):
         return
+    from scipy.spatial import cKDTree  # slow to import
+
     faces, found = Faces.of(spaces, [""]), [np.empty((0, contact.shape[2]))]
     away = unit_normals(faces.corners[:, 1:] - faces.corners[:, :1])
     away *= np.sign(np.einsum("fi,fi->f", faces.corners[:, 0] - faces.apexes, away))[:, None]

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, rows_of
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.rows import joined, rows_of
+from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.base.text import counted, place_in_words
-from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths, straightened
+from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths, faces, straightened
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.other_cells import in_simplices
 
@@ -133,12 +133,6 @@ def _in_its_space(points: Array, dim: int) -> Array:
     if not 1e-60 < size[:dim].max() < 1e60:
         raise InputError(f"its size is {size.max():.3g}, outside 1e-60 … 1e60; choose another unit of length")
     return points[:, :dim]
-
-
-def faces(cells: Indices) -> Indices:
-    """Facets of all cells as ascending vertices: first those opposite to the first vertices, then to the second etc."""
-    width = cells.shape[1]
-    return np.sort(np.concatenate([np.delete(cells, opposite, axis=1) for opposite in range(width)]), axis=1)
 
 
 def neighbours(everything: Indices) -> tuple[Indices, Indices]:

@@ -46,6 +46,12 @@ class Contents:
     values: Mapping[str, Array] = field(default_factory=dict)
 
 
+def faces(cells: Indices) -> Indices:
+    """Facets of all cells as ascending vertices: first those opposite to the first vertices, then to the second etc."""
+    width = cells.shape[1]
+    return np.sort(np.concatenate([np.delete(cells, opposite, axis=1) for opposite in range(width)]), axis=1)
+
+
 def straightened(points: Array, kind: str, elements: Indices) -> tuple[str, Indices]:
     """Elements of second order as those of first order if they are straight; all other ones as they are."""
     if kind not in SECOND:

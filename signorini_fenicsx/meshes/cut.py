@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask, rows_of
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.rows import joined, rows_of
+from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours
 from signorini_fenicsx.meshes.domain import other_side

@@ -13,7 +13,6 @@ import h5py
 import meshio
 import numpy as np
 import numpy.typing as npt
-from scipy.io import netcdf_file
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
@@ -66,6 +65,8 @@ def read_exodus(path: Path) -> tuple[meshio.Mesh, dict[str, Indices]]:
             return _mesh({name: np.asarray(data[name]) for name in data if name.startswith(USED)}, types)
     if head not in (b"CDF\x01", b"CDF\x02"):
         raise InputError("is no Exodus file of netCDF-3 or netCDF-4; `nccopy -k netCDF-4` makes one of other kinds")
+    from scipy.io import netcdf_file  # slow to import
+
     with netcdf_file(path, mmap=False) as data:
         types = {name: _text(getattr(each, "elem_type", b"")) for name, each in data.variables.items()}
         return _mesh({name: np.array(data.variables[name].data) for name in types if name.startswith(USED)}, types)

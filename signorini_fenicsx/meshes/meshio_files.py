@@ -19,11 +19,9 @@ import meshio
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.base.arrays import Indices, rows_of
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.rows import rows_of
-from signorini_fenicsx.meshes.checks import faces
-from signorini_fenicsx.meshes.contents import DIMENSION, SECOND, Contents, check_widths
+from signorini_fenicsx.meshes.contents import DIMENSION, SECOND, Contents, check_widths, faces
 from signorini_fenicsx.meshes.exodus import ENDINGS as EXODUS
 from signorini_fenicsx.meshes.exodus import read_exodus
 from signorini_fenicsx.meshes.other_cells import in_simplices, simplices_of

@@ -20,6 +20,8 @@ PARALLEL = 1e-6
 """Edges whose unit vectors have a shorter product than this have no common normal."""
 PAIRS = 10**5
 """Number of pairs that are tested at once."""
+FEW = 2**20
+"""Number of pairs whose distances take less time than to import SciPy's tree."""
 
 
 def seams(corners: Array, apexes: Array, rows: Indices) -> tuple[Indices, Mask]:
@@ -109,12 +111,18 @@ def balls(simplices: Array) -> tuple[Array, Array]:
 def meeting(some: Array, others: Array) -> Iterator[tuple[Indices, Indices]]:
     """Pairs of rows of simplices whose balls meet, so many at a time.
 
-    Balls of about the same size are in one tree: otherwise the largest would decide how far all others look.
+    Of few simplices, each is compared with all. Balls of about the same size are in one tree: otherwise the largest
+    would decide how far all others look.
     """
-    from scipy.spatial import cKDTree  # slow to import
-
     middle, radius = balls(some)
     other_middle, other_radius = balls(others)
+    if len(some) * len(others) <= FEW:
+        apart = np.sqrt(sum(np.subtract.outer(*each) ** 2 for each in zip(middle.T, other_middle.T, strict=True)))
+        pairs = np.argwhere(apart <= (1 + NEAR) * np.add.outer(radius, other_radius))
+        yield from (tuple(pairs[start : start + PAIRS].T) for start in range(0, len(pairs), PAIRS))
+        return
+    from scipy.spatial import cKDTree  # slow to import
+
     size = np.frexp(other_radius)[1]
     for exponent in np.unique(size):
         of_size = np.flatnonzero(size == exponent)

@@ -7,11 +7,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, rows_of
 from signorini_fenicsx.base.errors import InputError, check_names
 from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_cells
 from signorini_fenicsx.base.parallel import gather_rows, on_root
-from signorini_fenicsx.base.rows import rows_of
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, brought_together, distribute, in_regions, marked
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.rows import joined
@@ -258,6 +257,8 @@ def _shape(scene: Scene, reach: float) -> Array:
     two = _inside(scene) & (facets.opposite < 0)
     if not facets.apart[two].any():
         return np.zeros_like(points)
+    from scipy.spatial import cKDTree  # slow to import
+
     body, vertices = joined(len(points), scene.fields.cells), facets.vertices[two].ravel()
     distance, nearest = cKDTree(points[vertices]).query(points)
     side = np.where(body == body[vertices[nearest]], -0.5, 0.5)  # normals point out of the named side
