@@ -84,9 +84,9 @@ def collect_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
     if now > stash.get(COLLECTED, 0.0) + 1:
         collect_garbage(MPI.COMM_WORLD)
         stash[COLLECTED] = now
-        if MPI.COMM_WORLD.size == 1 and len(sys.modules) > stash.get(MODULES, 0):
+        if (modules := MPI.COMM_WORLD.bcast(len(sys.modules))) > stash.get(MODULES, 0):
             gc.freeze()
-            stash[MODULES] = len(sys.modules)
+            stash[MODULES] = modules
 
 
 @pytest.fixture(autouse=True)

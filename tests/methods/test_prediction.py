@@ -20,9 +20,9 @@ ALWAYS = Tuning(direct_up_to=0, predict_from=0, coarsen_from=1000)
 def test_prediction_changes_the_number_of_steps_only():
     """A start from the sets of a coarser mesh gives the sets and fields of a cold start, in fewer steps."""
     for name, algorithm in (("example2", "alg1"), ("example5", "alg4")):
-        case = load_case(name).with_values({"solve.h": 1 / 32, "solve.algorithm": algorithm})
+        case = load_case(name).with_values({"solve.h": 1 / 16, "solve.algorithm": algorithm})
         cold = solve_case(case.with_values({"solve.predict": False}), COMM)
-        warm = solve_case(case, COMM, tuning=Tuning(predict_from=300, coarsen_from=300))
+        warm = solve_case(case, COMM, tuning=Tuning(predict_from=100, coarsen_from=100))
         np.testing.assert_array_equal(cold.outcome.conditions.kind, warm.outcome.conditions.kind)
         for one, two in [(cold.sigma, warm.sigma), (cold.u, warm.u), (cold.p, warm.p)]:
             np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9)
