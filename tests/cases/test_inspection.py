@@ -202,7 +202,6 @@ def test_help_has_lines_of_examples(tmp_path: Path, command: str):
     assert not [line for line in lines if "\\b" in line]
 
 
-@pytest.mark.parallel(2)
 def test_info_check_and_version(folder: Path):
     done = signorini(folder, "info", "dam")
     assert "face: signorini, 24 facets" in done.stdout

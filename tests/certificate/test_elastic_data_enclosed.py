@@ -84,7 +84,7 @@ def test_bounds_are_guaranteed_and_near_the_error(data: dict[str, Any], most: fl
 def test_on_ranks():
     """The bound of several ranks is that of one."""
     together, alone = (
-        [bounded(comm, 3, data)[1].bound for data in (ON_WAVES, SLIPPING)] for comm in (COMM, MPI.COMM_SELF)
+        [bounded(comm, 2, data)[1].bound for data in (ON_WAVES, SLIPPING)] for comm in (COMM, MPI.COMM_SELF)
     )
     np.testing.assert_allclose(together, alone, rtol=1e-9)
 

@@ -153,12 +153,12 @@ def test_derivatives() -> None:
 @pytest.mark.parallel([2, 3])
 def test_several_ranks() -> None:
     """The bound is that of one rank if both sides of a pair are on one of them; else the reason is told."""
-    cases = [("tied", 2), ("contact", 2), ("friction", 2), ("tied", 3)]
+    cases = [("contact", 2), ("friction", 2), ("tied", 3)]
 
     def bounds(comm: MPI.Intracomm) -> list[float]:
         found = []
         for name, dim in cases:
-            domain = boxes(4 - (dim == 3), 5 - 2 * (dim == 3), dim, 0.17, 0.05, comm)
+            domain = boxes(*((4, 5) if dim == 2 else (2, 2)), dim, 0.17, 0.05, comm)
             found.append(certify(solve(domain, posed(LAWS[name], dim, c=0.5))).bound)
         return found
 

@@ -227,7 +227,6 @@ def test_petsc_options_reach_petsc(tmp_path: Path):
     assert "linear solver gmres+none stopped" in done.stderr
 
 
-@pytest.mark.parallel(2)
 def test_convergence(folder: Path):
     done = signorini(folder, "convergence", "example1", "--levels", "2:3", "--reference", "4")
     assert done.returncode == 0, done.stderr

@@ -160,7 +160,7 @@ def test_ranks(dim: int):
     )
     found = [
         solve(
-            build_domain(comm, "square" if dim == 2 else "cube", 0.5 if dim == 3 else 0.2, mesh="structured"),
+            build_domain(comm, "square" if dim == 2 else "cube", 1 if dim == 3 else 0.2, mesh="structured"),
             problem,
             options,
         )

@@ -47,7 +47,6 @@ u = {{outside = "{OUTSIDE}", inside = "{INSIDE}"}}
 """On the circle the jump is 0.15 − 0.8x and σ·n = −0.5 − 2x."""
 
 
-@pytest.mark.parallel(2)
 def test_circle(folder: Path):
     """Order 1 though polygons take its place, and a sharp bound that is guaranteed."""
     if COMM.rank == 0:

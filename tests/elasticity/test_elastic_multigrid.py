@@ -88,10 +88,10 @@ def test_sets_predicted_from_coarser_meshes():
 
     CG stops as soon as the next set is known, and its last solve is that of the loop.
     """
-    case = load_case("hertz").with_values({"solve.h": 1 / 8})
+    case = load_case("hertz").with_values({"solve.h": 1 / 16})
     assert isinstance(case, ElasticCase)
     cold = solve_case(case, COMM, tuning=Tuning(predict_from=10**9))
-    warm = solve_case(case, COMM, tuning=replace(MULTIGRID, predict_from=100, coarsening=8.0))
+    warm = solve_case(case, COMM, tuning=replace(MULTIGRID, predict_from=300, coarsening=8.0))
     assert "prediction" in warm.timings
     assert "prediction" not in cold.timings
     assert (cold.outcome.rough_steps, len(warm.outcome.history)) == (0, warm.outcome.rough_steps + 1)

@@ -48,7 +48,7 @@ def work_at_most(work: Array, into: Array, slips: Array, shears: Array) -> float
 def test_cutting_planes_find_what_one_programme_finds():
     """For random rows of 1 to 6 motions, spread over the ranks, some with none; and the motion is one of those."""
     rng, held, slides = np.random.default_rng(3), 0, 0
-    for number in range(24):
+    for number in range(12):
         size = 1 + number % 6
         into, slips = rng.normal(size=(rng.integers(1, 30), size)), rng.normal(size=(rng.integers(0, 9), size))
         work = -rng.uniform(0, 1, len(into)) @ into if number % 2 else rng.normal(size=size)
@@ -68,8 +68,8 @@ def test_cutting_planes_find_what_one_programme_finds():
             assert np.abs(motion).max() == pytest.approx(1.0)
             assert (into @ motion).max() < 1e-8
             assert shears @ np.abs(slips @ motion) <= work @ motion + 1e-8
-    assert 4 < held < 20
-    assert 4 < slides < 23
+    assert 1 < held < 11
+    assert 1 < slides < 11
 
 
 def test_motions_are_told_without_rounding():

@@ -10,6 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from signorini_fenicsx.base.rows import Order, fetch_rows, find_rows
+from signorini_fenicsx.meshes import meshing
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import MeshFile, build_domain, own_domain
@@ -78,8 +79,10 @@ def test_children():
 
 
 @pytest.mark.parallel([2, 3])
-@pytest.mark.parametrize(("shape", "h"), [("half_disk", 0.0131), ("cube", 0.1)])
-def test_large_meshes_are_refined_ones(shape: str, h: float):
+@pytest.mark.parametrize(("shape", "h"), [("half_disk", 0.04), ("cube", 0.2)])
+def test_large_meshes_are_refined_ones(shape: str, h: float, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(meshing, "REFINED_FROM", 6_000)
+    monkeypatch.setattr(meshing, "COARSEST", 500)
     domain = build_domain(COMM, shape, h, mesh="unstructured")
     assert h / 2 < domain.h <= h
     assert domain.origin() == "Gmsh, refined uniformly 1 time"

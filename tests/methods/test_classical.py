@@ -140,7 +140,6 @@ def test_no_method_is_another():
         assert changes[one] != pytest.approx(changes[two], rel=1e-3), (one, two)
 
 
-@pytest.mark.parallel(nprocs=2)
 def test_no_load():
     for method in CLASSICAL:
         solution = solve_case(example("example1", h=1 / 4, algorithm=method).with_values({"problem.f": "0"}), COMM)

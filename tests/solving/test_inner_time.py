@@ -68,7 +68,7 @@ def test_bounds_of_steps():
 @pytest.mark.parallel(2)
 def test_ranks_and_a_restart(folder: Path):
     """On two ranks, after a failure, the run goes on; the files are those of a run on one rank."""
-    case = opening()
+    case = opening(3)
     run_in_two(case, folder / "x", 2)
     last = None
     for instant in evolve_case(case, MPI.COMM_SELF):
