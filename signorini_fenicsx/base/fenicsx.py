@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import dolfinx.geometry
 import dolfinx.graph
 import dolfinx.jit
 import dolfinx.mesh
@@ -148,6 +149,14 @@ def bisected(
     )
     order = original_cells(fine) - fine.topology.index_map(dim).local_range[0]  # parents are not in it
     return fine, parents[order], facets.reshape(-1, dim + 1)[order]
+
+
+def owned_by_one(cells: npt.NDArray[np.int32], points: Array) -> dolfinx.geometry.PointOwnershipData:
+    """On one rank, in which cells points are, shape (n, 3), with −1 for none."""
+    within = cells >= 0
+    ranks = np.zeros(np.count_nonzero(within), dtype=np.int32)
+    found = np.where(within, 0, -1).astype(np.int32), ranks, points[within].ravel(), cells[within]
+    return dolfinx.geometry.PointOwnershipData(cpp.geometry.PointOwnershipData_float64(*found))
 
 
 @contextlib.contextmanager
