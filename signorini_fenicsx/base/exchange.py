@@ -22,7 +22,7 @@ import shutil
 import stat
 import time
 from collections.abc import Iterator, Set
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reading import text_of
@@ -82,7 +82,7 @@ def folder_below(at: int | Path, name: str = "", *, make: bool = False) -> Itera
     """
     folder = os.dup(at) if isinstance(at, int) else os.open(at, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        for part in PurePosixPath(name).parts:
+        for part in _parts(name):
             if make:
                 with contextlib.suppress(FileExistsError):
                     os.mkdir(part, dir_fd=folder)
@@ -99,10 +99,10 @@ def kind_of(at: int, name: str) -> int:
 
     A link is a link, whatever it leads to; what lies in a file or behind a link is nothing.
     """
-    path = PurePosixPath(name)
+    *above, last = _parts(name) or [""]
     try:
-        with folder_below(at, str(path.parent)) as folder:
-            return stat.S_IFMT(os.lstat(path.name, dir_fd=folder).st_mode)
+        with folder_below(at, "/".join(above)) as folder:
+            return stat.S_IFMT(os.lstat(last, dir_fd=folder).st_mode)
     except OSError as error:
         if error.errno in (errno.ENOENT, *NO_FOLDER):
             return 0
@@ -266,12 +266,15 @@ class Area:
             ours = listed(folder, place)
             if os.listdir(folder) and not is_file(folder, MANIFEST):
                 raise InputError(f"output {place}: is not empty and holds no {MANIFEST}; choose another folder")
-            ours |= moved
-            for name in sorted({*OWN, *coming, *ours, MANIFEST}):
-                for above in PurePosixPath(name).parents[:-1]:
-                    if kind_of(folder, str(above)) not in (0, stat.S_IFDIR):
-                        raise _in_the_way(place / above, "it is not a folder")
-                if (kind := kind_of(folder, name)) and (kind != stat.S_IFREG or name not in {*ours, MANIFEST}):
+            ours |= {*moved, MANIFEST}
+            for name in sorted({*OWN, *coming, *ours}):
+                *above, whole = _with_those_above(name)
+                kinds = {each: kind_of(folder, each) for each in above}
+                for each, kind in kinds.items():
+                    if kind not in (0, stat.S_IFDIR):
+                        raise _in_the_way(place / each, "it is not a folder")
+                kind = 0 if 0 in kinds.values() else kind_of(folder, whole)
+                if kind and (kind != stat.S_IFREG or name not in ours):
                     raise _in_the_way(place / name, "no earlier run wrote it")
 
     def _listed(self, place: Path) -> set[str]:
@@ -302,10 +305,10 @@ def _exchange(ready: int, folder: int, place: Path) -> None:
 
 
 def _move(name: str, source: int, target: int) -> None:
-    path = PurePosixPath(name)
-    above = str(path.parent)
+    *parts, last = _parts(name)
+    above = "/".join(parts)
     with folder_below(source, above) as one, folder_below(target, above, make=True) as other:
-        os.rename(path.name, path.name, src_dir_fd=one, dst_dir_fd=other)
+        os.rename(last, last, src_dir_fd=one, dst_dir_fd=other)
 
 
 def _delete(at: int, name: str) -> None:
@@ -399,9 +402,20 @@ def _in_the_way(path: Path, why: str) -> InputError:
     return InputError(f"output {path}: is in the way, as {why}; move it elsewhere")
 
 
+def _parts(name: str) -> list[str]:
+    """The parts of a name with slashes, as `PurePosixPath` has them, but fast."""
+    return [part for part in name.split("/") if part not in ("", ".")]
+
+
+def _with_those_above(name: str) -> list[str]:
+    """The names of the folders above a name with slashes, the outermost first, and the name."""
+    parts = _parts(name)
+    return ["/".join(parts[:end]) for end in range(1, len(parts) + 1)]
+
+
 def _is_below(name: str) -> bool:
-    path = PurePosixPath(name)
-    return path.parts != () and not path.is_absolute() and ".." not in path.parts and "\0" not in name
+    parts = _parts(name)
+    return parts != [] and not name.startswith("/") and ".." not in parts and "\0" not in name
 
 
 def _write_list(folder: int, names: set[str]) -> None:
@@ -415,12 +429,13 @@ def _write_list(folder: int, names: set[str]) -> None:
 
 def _remove(folder: int, names: set[str]) -> None:
     """Remove these files of an open folder, and subfolders that are then empty."""
-    for path in map(PurePosixPath, names):
-        with contextlib.suppress(FileNotFoundError), folder_below(folder, str(path.parent)) as above:
-            os.unlink(path.name, dir_fd=above)
-    for path in {above for name in names for above in PurePosixPath(name).parents[:-1]}:
-        with contextlib.suppress(OSError), folder_below(folder, str(path.parent)) as above:  # it holds others' files
-            os.rmdir(path.name, dir_fd=above)
+    for *parts, last in map(_parts, names):
+        with contextlib.suppress(FileNotFoundError), folder_below(folder, "/".join(parts)) as above:
+            os.unlink(last, dir_fd=above)
+    for inner in sorted({each for name in names for each in _with_those_above(name)[:-1]}, reverse=True):
+        *parts, last = _parts(inner)
+        with contextlib.suppress(OSError), folder_below(folder, "/".join(parts)) as above:  # it holds others' files
+            os.rmdir(last, dir_fd=above)
 
 
 def _flush(path: Path) -> None:
