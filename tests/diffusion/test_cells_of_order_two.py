@@ -35,11 +35,11 @@ def of_case(name: str, h: float, comm: MPI.Comm = COMM, element: str = "RT1", **
 @pytest.mark.parametrize(
     ("name", "order", "better", "most"),
     [
-        ("sphere", 1.45, 4, 1.9),
+        pytest.param("sphere", 1.45, 4, 1.9, marks=pytest.mark.slow),
         ("two_obstacles", 1.4, 7, 1.8),
         ("saturation", 1.9, 40, 3.3),
         ("dead_core", 1.3, 7, 2.3),
-        ("phases", 1.6, 40, 3.3),
+        pytest.param("phases", 1.6, 40, 3.3, marks=pytest.mark.slow),
     ],
 )
 def test_exact_solutions(name: str, order: float, better: float, most: float):
@@ -59,15 +59,11 @@ def test_exact_solutions(name: str, order: float, better: float, most: float):
 
 
 def test_adaptive_bound():
-    """On adapted meshes the bound is near the error, and six times below that of RT0."""
+    """On adapted meshes the bound is near the error."""
     case = load_case("two_obstacles").with_values({"solve.h": 1 / 8})
     solution, certificate = adapt_case(case, max_cells=1200)
-    error = solution.errors()["energy"]
     assert solution.options.element == "RT1"
-    assert error < certificate.sigma_bound < 1.4 * error
-    lowest, of_lowest = adapt_case(case.with_values({"solve.element": "RT0"}), max_cells=1200)
-    assert lowest.options.element == "RT0"
-    assert 6 * certificate.bound < of_lowest.bound
+    assert 1 < certificate.sigma_bound / solution.errors()["energy"] < 1.4
 
 
 def test_nothing_is_corrected_where_no_flux_leaves(monkeypatch: pytest.MonkeyPatch):

@@ -126,7 +126,7 @@ def test_exact_solutions(name: str):
 
 def test_quadrature_of_kinks(monkeypatch: pytest.MonkeyPatch):
     """Where v passes a corner of a graph the quadrature is not exact: a finer one changes the bound very little."""
-    solution = solve_case(load_case("phases").with_values({"solve.h": 1 / 8}))
+    solution = solve_case(load_case("saturation").with_values({"solve.h": 1 / 8}))
     bound = certify(solution).bound
     monkeypatch.setattr(inside, "SQUARE", 29)
     assert certify(solution).bound == pytest.approx(bound, rel=1e-3)

@@ -115,7 +115,7 @@ def test_coulomb_is_a_fixed_point():
     assert certificate.of == "the exact solution of Tresca's problem with the last bound of the friction"
 
 
-@pytest.mark.parametrize(("mu", "push", "nu"), [(1.0, 0.3, 0.0), (2.0, 0.3, 0.3), (5.0, 0.6, 0.0), (20.0, 0.6, 0.45)])
+@pytest.mark.parametrize(("mu", "push", "nu"), [(1.0, 0.3, 0.0), (20.0, 0.6, 0.45)])
 def test_coulomb_with_a_large_number(mu: float, push: float, nu: float):
     """With any μ there is a solution with the whole law: g = μ × pressure, and the shear is −g where it slips."""
     problem = Elasticity(
@@ -161,7 +161,7 @@ def test_the_path_and_newton_find_the_same(monkeypatch: pytest.MonkeyPatch):
 def test_bounds_of_random_friction():
     """A bound is never below the error in energy; on the whole it is not far above it."""
     rng, ratios = np.random.default_rng(7), []
-    for number in range(6):
+    for number in range(4):
         nu, gap, g = float(rng.choice([0.0, 0.3])), rng.uniform(0, 0.02), rng.uniform(0.002, 0.02, 2)
         laws = [Friction(["y0"], g=f"{g[0]} + {g[1]}*x")]
         f = [str(rng.uniform(-0.1, 0.1)), str(rng.uniform(-0.2, 0.0))]

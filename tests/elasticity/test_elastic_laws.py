@@ -90,7 +90,7 @@ LAWS = {
 @pytest.mark.parametrize("law", ["varying wall", "layer"])
 def test_bound(law: str):
     """With several states along the part the bound is above the distance to a finer solution, and near it."""
-    coarse, fine = (on(LAWS[law], n, MPI.COMM_SELF) for n in (4, 12))
+    coarse, fine = (on(LAWS[law], n, MPI.COMM_SELF) for n in (4, 8))
     certificate, distance = coarse.certify(), fine.differences(coarse).energy
     assert len(np.unique(coarse.segment)) > 1
     assert certificate.guaranteed == (law != "varying wall")

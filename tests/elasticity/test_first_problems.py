@@ -87,6 +87,7 @@ def test_steady_progress_is_no_failure():
         bent(Options(max_iterations=9))
 
 
+@pytest.mark.slow
 def test_steady_progress_with_friction_in_space():
     """Heat bends a bar up; the edge of its contact moves by a cell in a step: more than 50 steps are allowed."""
     mesh = dolfinx.mesh.create_box(MPI.COMM_SELF, [(0, 0, 0), (40, 1, 1)], (40, 1, 1))

@@ -241,7 +241,7 @@ def test_bad_materials(data: dict[str, Sequence[object]], said: str):
 
 def test_force_by_region():
     """One force for each region is that of a text with cases, also in quantities; one for some regions is refused."""
-    mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
+    mesh = dolfinx.mesh.create_unit_square(COMM, 2, 2)
     ends = {"top": lambda x: np.isclose(x[1], 1), "bottom": lambda x: np.isclose(x[1], 0)}
     halves = {"left": lambda x: x[0] <= 0.5, "right": lambda x: x[0] >= 0.5}
     domain = domain_of(mesh, {**ends, "sides": lambda x: np.isclose(x[0] * (1 - x[0]), 0)}, halves)

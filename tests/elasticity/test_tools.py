@@ -58,7 +58,7 @@ def punched(force: float | str = -0.1, **more: Any) -> Elasticity:
 
 def test_the_force_of_a_motion():
     """A foundation where the tool has come to has the same stress; the bound is above the distance to finer meshes."""
-    coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), punched()) for n in (4, 12))
+    coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), punched()) for n in (4, 8))
     about = coarse.quantities()["tools"]["y1"]
     gap = f"0.5*(x - 0.4)^2 + {about['displacement']['y']} + {about['rotation']['z']}*(x - 0.5)"
     fixed = Contact("y1", gap=gap)
@@ -183,7 +183,7 @@ def test_bolted_joint():
     assert moved["washer"] < 0 < moved["head"]
     assert min(state["vertices"] for state in solution.friction_states().values()) > 0
     with pytest.raises(InputError, match=r"slides away, .*: on this motion the loads do the work .* no pressure with"):
-        solve_case(case.with_values({"problem.g_N": {"pulled": [-13.5, 0, 0]}}))
+        solve_case(case.with_values({"problem.g_N": {"pulled": [-13.5, 0, 0]}}), domain=solution.spaces.domain)
 
 
 def test_no_derivatives():

@@ -88,7 +88,7 @@ def test_where_a_law_changes_its_segment():
     """The flow is like r^(3/2) at the end of what is open; the order is nearly 1.5, that of the bound as well."""
     u, errors, bounds = [f"-({each})" for each in half_plane_contact(0.5)], [], []
     problem = Stokes(1 / 3, u_D=u, exact=u, conditions=[Outflow("y0")])
-    for n, ratio in ((8, 1.3), (16, 1.1)):
+    for n, ratio in ((6, 1.3), (12, 1.1)):
         found, certificate = bounded([-1.0, 0.0], [1.0, 1.0], n, problem)
         errors.append(found.errors()["energy"])
         bounds.append(certificate.bound)

@@ -40,7 +40,7 @@ def functional(found: StokesSolution, number: int) -> ufl.Form:
     return (ufl.inner(found.sigma, weight) if number == 1 else ufl.inner(found.sigma, found.sigma)) * ufl.dx
 
 
-@pytest.mark.parametrize(("large", "some"), [(0, [0, 4]), (10**9, range(7))])
+@pytest.mark.parametrize(("large", "some"), [(0, [4]), (10**9, range(7))])
 def test_gradients(large: int, some: list[int]):
     """By CG and by a factorisation they are central differences of solutions."""
     made, options = flow(), Options(tuning=Tuning(direct_up_to=large))

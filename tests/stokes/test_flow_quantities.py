@@ -60,7 +60,7 @@ def test_a_channel_with_slip():
 
 
 def test_the_mean_pressure_where_a_wall_slips():
-    """Intervals have those of a finer mesh; in a half of the domain, in space, and with a velocity of the wall."""
+    """Intervals have those of a finer mesh; in a half of the domain, with a velocity of the wall."""
     ends = [Pressure("x0", 1), *(Dirichlet(part, 0, components="t") for part in ("x0", "x1")), Dirichlet("y0", 0)]
     wall, f = Slip("y1", g=0.1, beta=2, velocity=[1, 0]), ["32*(0.5 - y)*x", "0"]
     solved = [solve(halves(n), Stokes(1, f=f, conditions=[*ends, wall])) for n in (2, 4)]
@@ -68,6 +68,11 @@ def test_the_mean_pressure_where_a_wall_slips():
     assert wide.guaranteed
     assert wide.lower < narrow.lower < narrow.value < narrow.upper < wide.upper
     assert narrow.width < 0.3 * wide.width
+
+
+@pytest.mark.slow
+def test_the_mean_pressure_in_space():
+    """In a quarter of a duct."""
     in_space = solve(box(COMM, 1, [0.0] * 3, [0.5] * 3), Stokes(1, conditions=between_pressures(0.5, 3)))
     contains(in_space.quantity(MeanPressure()), 0.25, 0.2)
 
@@ -103,9 +108,8 @@ def outlet(n: int) -> StokesSolution:
 
 
 def test_intervals_have_those_of_finer_meshes():
-    """What comes in goes out, whatever the mesh is; the other intervals overlap and become shorter."""
-    coarse, fine = outlet(3), outlet(6)
-    contains(coarse.quantity(Flow("x1")), 1 / 6, 1e-6)
+    """They overlap and become shorter."""
+    coarse, fine = outlet(2), outlet(4)
     for kind, share in ((Dissipation(), 0.6), (Mean(direction=[0, 1]), 0.4)):
         wide, narrow = coarse.quantity(kind), fine.quantity(kind)
         assert wide.guaranteed
