@@ -6,13 +6,17 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 from mpi4py import MPI
 from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell_parent
 
 import signorini_fenicsx.api  # noqa: F401 - with DOLFINx, before a test loads adios2, which brings the same libraries
+from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.meshes import file_worker
+from signorini_fenicsx.meshes.contents import OF_GMSH
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes compiles the package: half a second
@@ -20,6 +24,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes c
 LAUNCHES = pytest.StashKey[Launches]()
 COLLECTED = pytest.StashKey[float]()
 MODULES = pytest.StashKey[int]()
+READ: dict[tuple[object, ...], bytes] = {}
+"""What was read of mesh files, by their endings, the wishes for their meshes, and their bytes."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -93,6 +99,27 @@ def collect_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
 def disk_in_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Do not wait for the disk: only a machine that loses its power needs that."""
     monkeypatch.setattr(os, "fsync", lambda file: None)
+
+
+@pytest.fixture(autouse=True)
+def files_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the process that reads a file of Gmsh's formats start only if no test before had the same one."""
+    run = confined.run
+
+    def remembered(module: str, arguments: list[str], result: BinaryIO) -> None:
+        path, *others = arguments
+        if module != file_worker.__name__ or not path.lower().endswith(OF_GMSH):
+            return run(module, arguments, result)
+        key = Path(path).suffix, *others, Path(path).read_bytes()
+        if key not in READ:
+            run(module, arguments, result)
+            result.seek(0)
+            READ[key] = result.read()
+            return None
+        result.write(READ[key])
+        return None
+
+    monkeypatch.setattr(confined, "run", remembered)
 
 
 @pytest.fixture

@@ -207,6 +207,7 @@ cli.main()
 A_SMALL_DISK = ("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=1500k none disk && "$0" "$@"')
 
 
+@pytest.mark.slow
 def test_a_disk_that_others_fill(tmp_path: Path):
     """The disk becomes full while the fields are written; one of two ranks writes."""
     (tmp_path / "filling.py").write_text(FILLING)

@@ -119,7 +119,7 @@ def numbers(tree: object, name: str = "") -> Iterator[tuple[str, float]]:
         yield name, float(tree)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "sphere")) for name in CASES])
 def test_results_do_not_depend_on_the_place(name: str):
     """Domain and data are moved by about 1e8 times their size; residuals stay those of exact arithmetic."""
     case = load_case(name)

@@ -147,12 +147,16 @@ def killed_at(step: int, action: Callable[[], None]) -> bool:
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")
-@pytest.mark.parametrize(("there", "failed"), [(True, False), (True, True), (False, False), (None, False)])
-def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool | None, failed: bool):
+@pytest.mark.parametrize(
+    ("there", "failed", "stride"),
+    [(True, False, 3), (True, True, 7), (False, False, 7), (None, False, 7)]
+    + [pytest.param(*way, 1, marks=pytest.mark.slow) for way in ((True, False), (True, True), (False, False))],
+)
+def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool | None, failed: bool, stride: int):
     """After a kill the next call finds the old or the new result complete, all files of the user, and nothing else."""
     mine = dict.fromkeys(MINE, "mine") if there else {}
     ends = set()
-    for step in range(0, 1000, 2 if there and not failed else 5):  # all ways move their files alike
+    for step in range(0, 1000, stride):  # all ways move their files alike
         target = tmp_path / str(step)
         place = target.with_name(f"{step}.failed") if failed else target
         if there:
