@@ -116,7 +116,7 @@ def draw_solution(runs: Sequence[Kept]) -> Figure:
     norm, (a, b) = np.linalg.norm(sigma, axis=1), np.moveaxis(points[cells[:, 1:]] - points[cells[:, :1]], 1, 0)
     bottom, top, beyond = limits(norm, np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
     image = magnitude.tripcolor(triangulation, norm, cmap="viridis", rasterized=True, vmin=bottom, vmax=top)
-    figure.colorbar(image, ax=magnitude, extend=beyond)
+    figure.colorbar(image, ax=magnitude, extend=beyond, label=r"$|\sigma_h|$")
     magnitude.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=r"(c) $|\sigma_h|$")
     return figure
 

@@ -139,7 +139,7 @@ def with_points(probe: dict[str, Any], folder: Path) -> dict[str, Any]:
         InputError: If it cannot be read.
     """
     path = Path(os.path.normpath(folder / probe["file"]))
-    with reading(path):
+    with reading(f"[[probe]] {probe.get('name', '')}: {path}"):
         if "points" in probe:
             raise InputError("a probe has points or a file, not both")
         points, names = _read(path)

@@ -24,7 +24,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.text import place_in_words
-from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.data_values import near_first
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 
 type Places = tuple[tuple[str, tuple[float, ...]], ...]
@@ -175,10 +175,8 @@ class Gap:
     def _not_finite(self, spaces: MeshSpaces) -> str:
         """Which part of the sum is not finite, with the first place; no cause, as many are possible (collective)."""
         for words, squares in (("the gap", self.squares), ("what loads add", self.oscillation)):
-            middle = corners(spaces.mesh)[~np.isfinite(squares)].mean(axis=1)
-            places = first_places([(words, tuple(x)) for x in middle.tolist()], spaces.mesh.comm)
-            for name, place in places[:1]:
-                return f"{name} is not finite near {place_in_words(place)}"
+            if place := near_first(spaces, ~np.isfinite(squares)):
+                return f"{words} is not finite{place}"
         return "the sum of its parts is larger than all floats"
 
     def certificate(self, spaces: MeshSpaces) -> Certificate:

@@ -4,9 +4,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -90,6 +91,13 @@ def _least(values: Array, places: Array) -> list[tuple[float, tuple[float, ...]]
     return [(float(values[least]), tuple(places[least].tolist()))]
 
 
+def near_first(spaces: MeshSpaces, cells: Mask) -> str:
+    """Near which place the first of some owned cells is, in words; empty if there are none (collective)."""
+    places = map(tuple, corners(spaces.mesh)[cells].mean(axis=1).tolist())
+    first = min(spaces.mesh.comm.allgather(min(places, default=(np.inf,))))
+    return f" near {place_in_words(first)}" if first != (np.inf,) else ""
+
+
 def check_means(name: str, where: str, means: Array, spaces: MeshSpaces) -> None:
     """Make sure that means are finite, and neither too large nor too small (collective).
 
@@ -105,6 +113,14 @@ def check_means(name: str, where: str, means: Array, spaces: MeshSpaces) -> None
         raise InputError(
             f"{in_problem(name)}: its largest value, {largest:.1e}, is outside {low:g} … {high:g}; scale it"
         )
+
+
+def check_cells(name: str, means: Array, spaces: MeshSpaces) -> None:
+    """Make sure of means in the owned cells, see `check_means` (collective)."""
+    where, wrong = "in the domain", ~np.isfinite(means).reshape(len(means), -1).all(axis=1)
+    if spaces.mesh.comm.allreduce(bool(wrong.any()), op=MPI.LOR):
+        where += near_first(spaces, wrong)
+    check_means(name, where, means, spaces)
 
 
 def facet_means(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray[np.int32], where: str) -> Array:

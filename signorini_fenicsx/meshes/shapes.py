@@ -20,6 +20,8 @@ from signorini_fenicsx.meshes.domain import Part, other_side
 from signorini_fenicsx.meshes.grids import Share, Simplices, l_grid, rectangle_grid, tetrahedron_grid
 
 TINY = np.finfo(np.float64).tiny
+THINNEST = 1e-9
+"""The least share of the longer side of a rectangle that the other one is: in thinner ones solutions are rounding."""
 SAME = 1e-6
 """A point is on a side if it is nearer than this share of the size of the shape, across the side."""
 
@@ -280,4 +282,8 @@ def _intervals(name: str) -> tuple[float, float, float, float]:
     left, right, low, high = (parse_number(end.strip()) for end in match.groups())
     if not (left < right and low < high):
         raise InputError(f"shape '{name}': each interval must begin with the smaller number")
+    shorter, longer = sorted((right - left, high - low))
+    if not (shorter >= THINNEST * longer and 1e-60 < longer < 1e60):
+        sides = f"sides of {shorter:.3g} and {longer:.3g}"
+        raise InputError(f"shape '{name}': {sides} are too different, or outside 1e-60 … 1e60")
     return left, right, low, high

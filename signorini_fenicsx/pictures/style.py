@@ -32,7 +32,7 @@ STYLE = {
 
 CONTACT, FREE, WATER, LOAD = "#d62728", "#5ab4e6", "#4a90c2", "#0072b2"
 SEGMENTS = ("#e69f00", "#009e73", "#cc79a7", "#0072b2", "#7f7f7f", "#f0e442")
-OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "#0072b2", "open": FREE}
+OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "upper": "#0072b2", "open": FREE}
 """Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn, which are
 those of Okabe and Ito: colour-blind readers tell them apart."""
 OTHERS = 0.15, 0.618, 0.6, 0.75
@@ -112,7 +112,7 @@ def colours_of(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, s
         taken: Colours that others have in the same picture.
     """
     found = dict[str, str]()
-    for name in sorted(set(names)):  # "contact" and "lower" have one colour, but not in one picture
+    for name in sorted(set(names)):  # "contact" and "stick" have one colour, but not in one picture
         if (colour := OF_SEGMENT.get(name)) and colour not in (*found.values(), *taken):
             found[name] = colour
     first, step, *rest = OTHERS

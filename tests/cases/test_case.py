@@ -36,6 +36,8 @@ def test_good_case(tmp_path: Path):
     [
         ('"square"', '"circle"', r"\[geometry\] shape: unknown shape 'circle'; use one of square, lshape"),
         ('"square"', '"[0, 1] x [1, 1]"', "each interval must begin with the smaller number"),
+        ('"square"', '"[0, 1] x [0, 1e-300]"', "sides of 1e-300 and 1 are too different, or outside"),
+        ('"square"', '"[0, 1e70] x [0, 1e70]"', "sides of 1e.70 and 1e.70 are too different, or outside"),
         ('"square"', '"[0, 1] x [1, y]"', "'y' is not a number"),
         ('["top"]', '["lid"]', "unknown part 'lid' of square; its parts are left, right, bottom, top"),
         ('["top"]', '["top", "top"]', r"\[boundary\] 'top' is listed twice: in signorini$"),

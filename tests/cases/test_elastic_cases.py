@@ -120,7 +120,7 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ('fixed = {left = "n"}', 'fixed = {right = "n"}', "'right' is listed twice"),
         ('fixed = {left = "n"}', 'fixed = {left = "z"}', "part 'left' is fixed in z, which there is only in space"),
         ("young = 1\n", "young = 1e300\n", "young: its largest value, 1.0e+300, is outside 1e-100"),
-        ("[0, -0.1]", '[0, "1/(x - x)"]', "[problem] f: not finite everywhere"),
+        ("[0, -0.1]", '[0, "1/(x - x)"]', "[problem] f: not finite everywhere in the domain near (0."),
         (
             'h = "1/4"',
             f'h = "1/4"\n{LAW}',

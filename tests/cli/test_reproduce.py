@@ -1,11 +1,14 @@
 """The tables and figures of the slides from the command line, on coarse meshes."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 import reproduce
 from commands import read_rows
+from figures import DRAWN, Kept, draw_solution
+from matplotlib.figure import Figure
 
 
 def test_reproduce_and_draw_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
@@ -15,7 +18,15 @@ def test_reproduce_and_draw_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(reproduce, "QUICK_LEVELS", [2, 3])
     monkeypatch.setattr(reproduce, "QUICK_REFERENCE", 4)
     monkeypatch.setattr(sys, "argv", ["reproduce.py", "--quick", *names])
+    drawn: list[Figure] = []
+
+    def draw(runs: Sequence[Kept]) -> Figure:
+        drawn.append(draw_solution(runs))
+        return drawn[-1]
+
+    monkeypatch.setitem(DRAWN, "solution", draw)
     assert reproduce.main() == 0
+    assert all(axes.get_ylabel() for axes in drawn[0].axes)  # of the colour bar too
     folder = tmp_path / "results" / "reproduction-quick"
     assert len(list((folder / "runs").iterdir())) == 2  # figures 2 and 3 are of one run
     page = (folder / "index.html").read_text(encoding="utf-8")

@@ -169,6 +169,7 @@ def test_bad_data(folder: Path):
         ("kappa", "1 - 1.001*exp(-1e6*((x - 0.31)^2 + (y - 0.37)^2))", r"its value is -0.000.* near \(0\.31, 0\.37\)"),
         ("kappa", [["2", "1"], ["0", "2"]], "is not symmetric"),
         ("kappa", "1/(x - x)", "cannot be evaluated|not finite"),
+        ("f", "log(x - 0.9)", r"f: not finite everywhere in the domain near \(0\.\d+, 0\.\d+\)"),
         ("kappa", {"rock": "1"}, "unknown region 'rock' of the mesh; it has none"),
         ("psi", "log(-1 - x)", "psi: not finite everywhere on Γ_S"),
         ("u_D", "1e-9*log((x - 1)**2 + y**2)", "u_D: not finite everywhere on Γ_D"),  # in a corner, which is no

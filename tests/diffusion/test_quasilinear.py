@@ -248,8 +248,10 @@ def test_soils_of_a_case(tmp_path: Path):
     assert "depend on u" in case.unproved
     assert {*SOILS} == {"van Genuchten", "Gardner", "Brooks-Corey"}
     square = build_domain(COMM, "square", 0.3, mesh="structured")
-    with pytest.raises(InputError, match="kappa: must be positive"):
-        solve(square, Diffusion(kappa="u - 9", f=1))
+    clay: dict[str, object] = {"clay": Gardner(1.0, 1.0)}
+    for given, told in (("u - 9", "kappa: must be positive"), (clay, r"^\[soil\]: unknown region .*; \[soil.all\] is")):
+        with pytest.raises(InputError, match=told):
+            solve(square, Diffusion(kappa=given, f=1))
     with pytest.raises(InputError, match="alg1 or alg2"):
         solve(square, Diffusion(kappa="1 + u^2", f=1), Options(algorithm="alg3"))
 

@@ -280,7 +280,7 @@ def test_steps(tmp_path: Path):
         ("[0.4, 2]]", "[0.4, -1]]", "points: two points that follow one another are the same"),
         ("[0.4, 2]]", "[0.5, -1]]", "[[section]] S: does not cross the domain"),
         ("[[0.4, -1], [0.4, 2]]", "[0.4, -1]", "points: must be a polyline"),
-        ('"wells.csv"', '"none.csv"', "none.csv: No such file or directory"),
+        ('"wells.csv"', '"none.csv"', "[[probe]] wells: none.csv: No such file or directory"),
     ],
 )
 def test_bad_input(old: str, new: str, words: str, tmp_path: Path):

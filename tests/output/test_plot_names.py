@@ -26,7 +26,7 @@ from signorini_fenicsx.pictures.panels import Panel, Where
 from signorini_fenicsx.pictures.scene import Scene, gathered_scene
 from signorini_fenicsx.pictures.sheet import Sheet
 from signorini_fenicsx.pictures.streams import APART, ARROW, SHARES, heads
-from signorini_fenicsx.pictures.style import around_0, colours_of, spans_decades
+from signorini_fenicsx.pictures.style import CONTACT, around_0, colours_of, spans_decades
 from signorini_fenicsx.studies.study import make_run
 
 CUT = {"name": "cut", "points": [[0.5, -1], [0.5, 2]]}
@@ -140,7 +140,8 @@ def test_segments_have_names():
     in_cells = found.colours_in_cells(["dry", "ice", "wet"])
     assert in_cells["ice"] == colours_of(names)["ice"]
     assert not {in_cells["dry"], in_cells["wet"]} & set(colours_of(names).values())
-    assert len(set(colours_of([f"phase {i}" for i in range(20)] + ["contact", "lower"]).values())) == 22
+    assert len(set(colours_of([f"phase {i}" for i in range(20)] + ["contact", "stick"]).values())) == 22
+    assert CONTACT not in colours_of(["lower", "open", "upper"]).values()  # that of the edge of contact in Ω
 
 
 def test_states_of_cells_are_in_words():

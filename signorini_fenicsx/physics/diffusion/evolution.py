@@ -32,7 +32,7 @@ from signorini_fenicsx.contact.law import EVERYWHERE, VERTICAL, LawWithMemory
 from signorini_fenicsx.contact.laws import Corners, Storage
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.data_values import check_means
+from signorini_fenicsx.discrete.data_values import check_cells
 from signorini_fenicsx.discrete.datum import Datum, datum_by_cells, datum_of, regional_datum
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.remembered import Remembered
@@ -296,7 +296,7 @@ class DiffusionSteps:
 
     def _means(self, key: str, datum: Datum) -> Array:
         means = cell_means(self.spaces, datum)
-        check_means(f"[time] {key}", "in the domain", means, self.spaces)
+        check_cells(f"[time] {key}", means, self.spaces)
         return means
 
 

@@ -20,7 +20,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, function_at, owned_cells
 from signorini_fenicsx.discrete.bernstein import coefficients_of, interpolation, nodes
 from signorini_fenicsx.discrete.cell_shapes import arms
-from signorini_fenicsx.discrete.data_values import check_means
+from signorini_fenicsx.discrete.data_values import check_cells
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, in_cells
@@ -177,5 +177,5 @@ def added_flux(spaces: Spaces, given: Any) -> AddedFlux:
         InputError: If it has not one component for each dimension, or is not finite.
     """
     b = AddedFlux(spaces, vector_datum_of(spaces, "b", given, continuous=False).components)
-    check_means("b", "in the domain", b.means, spaces)
+    check_cells("b", b.means, spaces)
     return b

@@ -8,7 +8,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values
 from signorini_fenicsx.base.text import place_in_words
-from signorini_fenicsx.discrete.data_values import check_means, least_value
+from signorini_fenicsx.discrete.data_values import check_cells, least_value
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -39,7 +39,7 @@ def conductivity(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function 
 def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.Constant:
     """κ_h (collective)."""
     means = cell_means(spaces, kappa)
-    check_means("kappa", "in the domain", means, spaces)
+    check_cells("kappa", means, spaces)
     matrices = means.reshape(len(means), *(kappa.shape or (1, 1)))
     size = np.abs(matrices).max(axis=(1, 2))
     symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= ROUNDING * size
@@ -68,7 +68,7 @@ def reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | No
     comm = spaces.mesh.comm
     means = cell_means(spaces, c)
     c_h = function_of(spaces.Q, means, "c_h")
-    check_means("c", "in the domain", means, spaces)
+    check_cells("c", means, spaces)
     rounding = ROUNDING * comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
     least, place = least_value(spaces, c, np.full(len(means), -rounding))
     if least < -rounding:

@@ -17,8 +17,8 @@ from signorini_fenicsx.base.owned import owned_cells, owned_values, set_owned
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.bodies import spread
 from signorini_fenicsx.discrete.data_values import (
+    check_cells,
     check_finite,
-    check_means,
     check_nodes,
     extent,
     facet_means,
@@ -293,7 +293,7 @@ def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Fu
     else:
         means = cell_means(spaces, f)
     set_owned(f_h, means)
-    check_means("f", "in the domain", means, spaces)
+    check_cells("f", means, spaces)
     return f, f_h
 
 

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.contact.law import EVERYWHERE
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of
 from signorini_fenicsx.discrete.linear_traces import opposite
@@ -341,7 +342,13 @@ def quasilinear_of(spaces: Spaces, kappa: Any, form: str = FORMS[0]) -> Quasilin
     """
     of_regions = kappa if isinstance(kappa, Mapping) else {"": kappa}
     fixed = {name: 1.0 if depends_on_u(each) else each for name, each in of_regions.items()}
-    held = conductivity_of(spaces, fixed if isinstance(kappa, Mapping) else fixed[""])
+    try:
+        held = conductivity_of(spaces, fixed if isinstance(kappa, Mapping) else fixed[""])
+    except InputError as error:
+        if not has_soils(kappa):
+            raise
+        told = str(error).replace("[problem] kappa", "[soil]")
+        raise InputError(f"{told}; [soil.{EVERYWHERE}] is the soil everywhere") from None
     parts: list[tuple[Mask, Curve]] = []
     for name, each in of_regions.items():
         if isinstance(each, list | tuple) or held.shape:

@@ -20,7 +20,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.cell_shapes import nearest
-from signorini_fenicsx.discrete.data_values import check_means, check_nodes
+from signorini_fenicsx.discrete.data_values import check_cells, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import CellPoints
@@ -285,11 +285,8 @@ def _check_where_given(spaces: ElasticSpaces, u_D: Any) -> None:
 
 def _check_cells(spaces: ElasticSpaces, data: ElasticData) -> None:
     """Make sure of f and of the material in the points of the quadrature (collective)."""
-    force = 0.0
-    for cells in blocks_of_cells(spaces.mesh):
-        values = data.f.values(data.points(spaces, cells))
-        force = max(force, float(np.nan_to_num(abs(values), nan=np.inf, posinf=np.inf).max(initial=0.0)))
-    check_means("f", "in the domain", np.array([force]), spaces)
+    forces = [abs(data.f.values(data.points(spaces, cells))).max(axis=(1, 2)) for cells in blocks_of_cells(spaces.mesh)]
+    check_cells("f", np.concatenate(forces), spaces)
     check_material(spaces, data.material, (data.points(spaces, cells) for cells in blocks_of_cells(spaces.mesh)))
 
 
