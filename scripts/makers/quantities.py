@@ -371,8 +371,9 @@ def random_body(seed: int) -> Row | None:
         Energy(),
     ]
     kind = kinds[rng.integers(len(kinds))]
+    meshes = domain, refined_uniformly(domain)  # where an error is on its way mpi4py cannot free a mesh without a name
     try:
-        intervals = [solve(mesh, body).quantity(kind) for mesh in (domain, refined_uniformly(domain))]
+        intervals = [solve(mesh, body).quantity(kind) for mesh in meshes]
     except InputError:
         return None
     return Row(words, kind, *intervals) if all(each.guaranteed for each in intervals) else None
