@@ -15,8 +15,8 @@ def test_reproduce_and_draw_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """Items that share runs; then a picture again, without new runs."""
     names = ["table1", "figure2", "figure3"]
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(reproduce, "QUICK_LEVELS", [2, 3])
-    monkeypatch.setattr(reproduce, "QUICK_REFERENCE", 4)
+    monkeypatch.setattr(reproduce, "QUICK_LEVELS", [1, 2])
+    monkeypatch.setattr(reproduce, "QUICK_REFERENCE", 3)
     monkeypatch.setattr(sys, "argv", ["reproduce.py", "--quick", *names])
     drawn: list[Figure] = []
 
@@ -36,7 +36,7 @@ def test_reproduce_and_draw_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
         assert (folder / f"{name}.png").stat().st_size > 10_000
     rows = read_rows(folder / "table1.csv")
-    assert [row["h"] for row in rows] == ["2^-2", "2^-3"]
+    assert [row["h"] for row in rows] == ["2^-1", "2^-2"]
     names_of_columns = (folder / "table1.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert len(set(names_of_columns)) == len(names_of_columns) == 9
     assert "<td>1.65</td>" in page  # the slides' error beside ours

@@ -268,7 +268,10 @@ def test_a_slim_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     [
         ("example1", {"unit": "°C", "flux_unit": "W/m²", "length_unit": "m"}, "u", "°C", "W/m  measure 1 m"),
         ("bar", {"length_unit": "mm", "stress_unit": "MPa"}, "sigma_xy", "MPa", "MPa mm  measure 0.5 mm"),
-        ("outlet", {"unit": "m/s", "stress_unit": "Pa", "length_unit": "m"}, "u_x", "m/s", "Pa m  measure 1 m"),
+        pytest.param(
+            *("outlet", {"unit": "m/s", "stress_unit": "Pa", "length_unit": "m"}, "u_x", "m/s", "Pa m  measure 1 m"),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_what_is_read_off_has_units(tmp_path: Path, case: str, plot: dict, column: str, unit: str, words: str):

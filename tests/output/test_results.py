@@ -189,8 +189,9 @@ def forge(results: Path, victim: Path) -> None:
     put(area_of(results), {"lock": "", "done/files.json": FORGED, "done/home/.bashrc": "theirs"})
 
 
-def test_a_reader_changes_nothing_and_a_writer_follows_no_link(tmp_path: Path):
+def test_a_reader_changes_nothing_and_a_writer_follows_no_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A forged folder of unfinished results reaches no file outside, whether it is read or written."""
+    monkeypatch.setattr(exchange, "PATIENCE", 0.1)
     results, victim = tmp_path / "x", tmp_path / "victim"
     forge(results, victim)
     before = {path: path.is_file() and path.read_text() for path in tmp_path.rglob("*")}
@@ -230,8 +231,9 @@ def test_a_list_that_is_no_small_file(tmp_path: Path, make: Callable[[Path], obj
         publish(tmp_path / "x", SECOND)
 
 
-def test_one_run_at_a_time(tmp_path: Path):
+def test_one_run_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A second run is refused at its start; after a run has died its lock is free and its files are removed."""
+    monkeypatch.setattr(exchange.Area.__init__, "__defaults__", (0.1,))  # its patience
     with ResultsFolder(MPI.COMM_SELF, tmp_path / "x") as first:
         put(first.path, FIRST)
         with pytest.raises(InputError, match="another run is writing into it"):
@@ -251,7 +253,7 @@ def test_many_publishes_at_once_lose_nothing(tmp_path: Path):
     put(tmp_path / "x", mine)
 
     def work() -> None:
-        for i in range(40):
+        for i in range(25):
             with contextlib.suppress(InputError):  # another process repairs it
                 publish(tmp_path / "x", (FIRST, SECOND)[i % 2])
 
