@@ -92,14 +92,6 @@ def assert_drawn(results: Path):
         assert all(side[..., :3].min() > 0.99 for side in (image[:4], image[-4:], image[:, :4], image[:, -4:])), name
 
 
-def assert_page(results: Path):
-    page = (results / "solution.html").read_text(encoding="utf-8")
-    assert len(page.encode()) < 10_000_000
-    assert not re.search(r"<(script|link|img)[^>]*(src|href)=", page)  # nothing from a network
-    assert '"type":"mesh3d"' in page
-    assert 'name="viewport"' in page  # phones
-
-
 def test_plane(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """In the plane VTK is not imported; the settings of the process do not change.
 
@@ -123,7 +115,11 @@ def test_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert done.returncode == 0, done.stderr
     assert (dict(os.environ), rcParams["font.size"]) == (before, size)
     assert_drawn(tmp_path / "drawn")
-    assert_page(tmp_path / "drawn")
+    page = (tmp_path / "drawn" / "solution.html").read_text(encoding="utf-8")
+    assert len(page.encode()) < 10_000_000
+    assert not re.search(r"<(script|link|img)[^>]*(src|href)=", page)  # nothing from a network
+    assert '"type":"mesh3d"' in page
+    assert 'name="viewport"' in page  # phones
 
 
 def assert_apart(sheet: Sheet):
