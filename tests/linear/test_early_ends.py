@@ -62,11 +62,23 @@ def test_gmres_without_more_steps_is_not_at_its_end():
     rows[0] += 0.5 * rows[1]
     rows[0, 0] += 3.0
     found = []
-    for most in (DIRECTIONS, 1):
+    for most in (1, DIRECTIONS):
         x.set(0.0)
         _, at_end = factors.coupled(load, x, imposed, 0.0, most)
         found.append((at_end, bool(np.linalg.norm(rows @ x.array_r - load) < 1e-8)))
-    assert found == [(True, True), (False, False)]
+    assert found == [(False, False), (True, True)]
+    assert factors.coupled(load, x, imposed, 0.0) == (0, True)  # from the solution
+    x.set(0.0)
+    assert factors.coupled(0.0 * load, x, imposed, 0.0) == (0, True)
+
+
+def test_a_failed_line_search_goes_on_with_full_steps():
+    """A line search of SNESVI that asks for more than steps gain."""
+    expected = undisturbed("vi")
+    with petsc_options(snes_linesearch_type="bt", snes_linesearch_alpha=0.99, snes_linesearch_minlambda=0.5):
+        found = solve_case(case_of(expected), domain=expected.spaces.domain)
+    assert found.outcome.reason.startswith("SNESVI converged, by full steps after SNES reason -6")
+    assert found.norms() == pytest.approx(expected.norms(), rel=1e-10)
 
 
 def test_nothing_is_no_solution_of_a_problem_with_loads():

@@ -107,6 +107,19 @@ def test_geometries_from_files(tmp_path: Path):
     assert len(points) >= 1 / h
 
 
+def test_geometries_in_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Children of tetrahedra are longer than half of them, so the mesh of Gmsh is made finer until they are not."""
+    monkeypatch.setattr(meshing, "REFINED_FROM", 6_000)
+    monkeypatch.setattr(meshing, "COARSEST", 500)
+    path = tmp_path / "cube.geo"
+    path.write_text('SetFactory("OpenCASCADE"); Box(1) = {0, 0, 0, 1, 1, 1}; Physical Volume("all") = {1};')
+    h = 0.19  # for which three more meshes are made
+    domain = own_domain(MPI.COMM_SELF, MeshFile(str(path)), h, {})
+    assert domain.origin() == "Gmsh, refined uniformly 1 time"
+    assert h / 2 < domain.h <= h
+    assert measure(corners(domain)) == pytest.approx(1, rel=1e-12)
+
+
 @pytest.mark.parallel([2, 3])
 @pytest.mark.parametrize("shape", ["lshape", "cube"])
 def test_parents(shape: str):
