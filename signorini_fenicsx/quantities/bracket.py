@@ -46,9 +46,10 @@ ENOUGH = 0.98
 NEAR, AHEAD = 1.5, 2
 """In each direction the search ends with an interval that is so many times as long as the best, or after so many that
 gain nothing: where sets of contact change between two τ, one of them may be longer than its neighbours."""
-PROPORTIONAL, FASTEST = 0.002, (1 / 16, 16.0)
-"""While the interval is as long as τ or 1/τ says, but for this share, the best τ is more than 20 times as far, so that
-steps from one τ to the next one may be squared, up to these: so long is the way where u is known but for rounding."""
+LINEAR, FASTEST = 0.002, {0.5: 1 / 16, 2.0: 16.0}
+"""While the length changes as τ or 1/τ does, by slopes that differ by this share at most, the best τ is more than 14
+times as far, and a step may be this factor; the search ends where the slope leaves too little to gain. So it is where u
+is known but for rounding, or where a part of the length is that of loads that are enclosed."""
 KNOWN = 1e-8
 """The search also ends with an interval that is at most this share of its ends: then they are known but for rounding,
 and each smaller τ would make it shorter."""
@@ -230,16 +231,19 @@ def bracket(
         tau = power_of_two(math.sqrt(tau * first))  # too far from the problem itself for its solver
     if not width(tau) <= width(first):  # such as one with which u_D is beyond a bound
         tau = first
-    for factor in (0.5, 2.0) if math.isfinite(width(tau)) and not (near and alone) else ():
-        step, ahead, misses = factor, tau * factor, 0
-        while not tried[tau].known and misses < AHEAD and len(tried) < MOST:
+    ended = not math.isfinite(width(tau)) or (near and alone)
+    for factor in (0.5, 2.0, 0.5):  # the last time where the steps were long
+        step, longest, ahead, misses, slope = factor, FASTEST[factor], tau * factor, 0, math.inf
+        while not ended and not tried[tau].known and misses < AHEAD and len(tried) < MOST:
             gain = width(ahead) / width(tau)
             if gain < ENOUGH:
-                far = abs(gain / min(ahead / tau, tau / ahead) - 1) < PROPORTIONAL
-                step = (step if step in FASTEST else step**2) if far else factor
-                tau, misses = ahead, 0
+                x, further = (t if factor < 1 else 1 / t for t in (tau, ahead))
+                before, slope = slope, (width(tau) - width(ahead)) / (x - further)
+                tau, misses, linear = ahead, 0, abs(slope / before - 1) < LINEAR
+                ended = linear and slope * further < (1 - ENOUGH) * width(tau)
+                step = longest if linear else factor
             elif step != factor:  # it was too long
-                step, ahead = factor, tau
+                step, longest, ahead = factor, factor, tau
             elif gain < NEAR:
                 misses += 1
             else:

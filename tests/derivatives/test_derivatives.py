@@ -100,8 +100,8 @@ def across(comm: MPI.Comm, options: Options | None = None) -> Controlled:
 
 
 def in_space(comm: MPI.Comm) -> Controlled:
-    """Two laws on the sides of an unstructured mesh in space, with RT1."""
-    domain = build_domain(comm, "cube", 0.6, mesh="unstructured")
+    """Two laws on the sides of a mesh in space, with RT1."""
+    domain = build_domain(comm, "cube", 0.9, mesh="structured")
     x = ufl.SpatialCoordinate(domain.mesh)
     k, g, beta, level, psi, c, f = given = constants(domain, 1.1, 0.2, 1.5, 0.1, -0.1, 0.8, 30.0)
     conditions = [
@@ -130,7 +130,7 @@ PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
 }
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "RT1")) for name in PROBLEMS])
 def test_taylor(name: str):
     """The remainder has order 2, so the gradient is that of the discrete problem; all controls move at once."""
     given = PROBLEMS[name](COMM)

@@ -30,13 +30,12 @@ def proved(found: Quantity, known: float, share: float) -> bool:
 
 @pytest.mark.parametrize("level", [1.0, 1000.0])
 def test_jump_of_load_and_weight(level: float):
-    """The energy and an integral of u'' = −1 for x < 0.3, which do not fit the mesh, also for a large u."""
+    """The energy and an integral, or a mean, of u'' = −1 for x < 0.3, which do not fit the mesh, also for a large u."""
     problem = Diffusion(f=JUMP, u_D=level, conditions=[Signorini("bottom", psi=-1), Neumann("top")])
     solution = solve(square(8), problem)
-    part = 0.006975 + 0.3 * level
+    kind, length = (Integral, 1.0) if level == 1 else (Mean, 0.3)
     assert proved(solution.quantity(Energy()), 0.0034875 - 0.3 * level - 0.006975, 2e-3)
-    assert proved(solution.quantity(Integral(weight=JUMP)), part, 3e-3)
-    assert proved(solution.quantity(Mean(weight=JUMP)), part / 0.3, 3e-3)
+    assert proved(solution.quantity(kind(weight=JUMP)), (0.006975 + 0.3 * level) / length, 3e-3)
 
 
 def test_kinks_on_the_boundary():
@@ -109,7 +108,7 @@ def test_the_search_is_fast_where_intervals_are_proportional(best: int):
 
 @pytest.mark.parametrize(
     "lengths",
-    [[257, 106, 27.7, 8.17, 5.01, 5.50, 9.56], [16, 8, 5, 4, 5, 10, 20, 40]],
+    [[257, 106, 27.7, 8.17, 5.01, 5.50, 9.56], [28, 14, 7, 4, 3, 4, 8, 16]],
     ids=["faster than proportional", "after a long step"],
 )
 def test_the_search_passes_no_best(lengths: list[float]):
@@ -130,5 +129,5 @@ def test_the_search_ends_where_a_quantity_is_known():
         return Ends(1.0, 1 + 1e-3 * tau, 1.0, "")
 
     assert 0 < bracket(ends, 1.0, 1.0).width <= 1e-8
-    assert min(tried) == 2.0**-19
+    assert min(tried) == 2.0**-18
     assert len(tried) == 7

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -194,7 +194,7 @@ def test_energies_of_laws(conditions: list, known: float):
 
 def test_inside_the_domain(monkeypatch: pytest.MonkeyPatch):
     """The flux across a crack, with a ramp, and the integral of the jump, of a known solution."""
-    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 4)  # each takes long, as u_D has a root
+    monkeypatch.setattr("signorini_fenicsx.quantities.bracket.MOST", 2)  # each takes long, as u_D has a root
     solution = solve_case(load_case("crack").with_values({"solve.h": 0.4}))
     through, jump = solution.quantity(Flux("slit", weight="x^2*(1 + x)^2")), solution.quantity(Integral(parts="slit"))
     assert through.guaranteed, through.reason  # the weight is no quadratic, up to the tip
@@ -325,10 +325,10 @@ def test_bodies_at_rest_far_from_contact(problem: Diffusion | Elasticity):
     assert mean.width < 1e-5
 
 
-@pytest.mark.parametrize("seeds", [(20,), pytest.param(range(40), marks=pytest.mark.slow)], ids=["1", "40"])
-def test_random_problems(seeds: Sequence[int]):
+@pytest.mark.slow
+def test_random_problems():
     """Random quantities of random problems are in their intervals, by `scripts/random_runs.py quantities`."""
-    rows = [random_row(seed, shapes=("square", "lshape")) for seed in seeds]
+    rows = [random_row(seed, shapes=("square", "lshape")) for seed in range(40)]
     assert not [str(row) for row in rows if not row.holds]
     assert sum(row.found for row in rows) > len(rows) / 2
 
@@ -410,8 +410,9 @@ def test_case_file(folder: Path):
 
 def test_adapt(folder: Path):
     """`adapt` refines until an interval is short enough, and fails if it has too few cells for that."""
-    (folder / "case.toml").write_text(CASE, encoding="utf-8")
-    wanted = "adapt", "case.toml", "--h", "1/2", "--quantity", "left half", "--width"
+    only = CASE.replace('parts = ["left", "bottom", "top"]', 'parts = "left"').split('[[quantity]]\nname = "unbounded')
+    (folder / "case.toml").write_text(only[0], encoding="utf-8")
+    wanted = "adapt", "case.toml", "--h", "0.71", "--quantity", "left half", "--width"
     ended = signorini(folder, *wanted, "1e-2", "--output", "found")
     assert ended.returncode == 0, ended.stderr
     found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]["left half"]
@@ -419,11 +420,11 @@ def test_adapt(folder: Path):
     lower, upper = ([float(row[f"quantities.left half.{end}"]) for row in rows] for end in ("lower", "upper"))
     assert found["upper"] - found["lower"] <= 1e-2 < upper[0] - lower[0]
     assert lower[-1] == found["lower"]
-    assert {"quantities.inflow.value", "quantities.unbounded.reason"} <= set(rows[0])
-    assert signorini(folder, *wanted, "1e-9", "--max-cells", "40", "--output", "failed").returncode == 1
+    assert {"quantities.inflow.value", "quantities.inflow.reason"} <= set(rows[0])
+    assert signorini(folder, *wanted, "1e-9", "--max-cells", "10", "--output", "failed").returncode == 1
     for arguments, words in (
         (("--quantity", "left half"), "belong together"),
-        (("--quantity", "nothing", "--width", "1"), "case has left half, inflow, unbounded"),
+        (("--quantity", "nothing", "--width", "1"), "case has left half, inflow"),
     ):
         refused = signorini(folder, "adapt", "case.toml", *arguments, "--output", "refused")
         assert refused.returncode == 2
