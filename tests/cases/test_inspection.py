@@ -220,7 +220,10 @@ def test_info_check_and_version(folder: Path):
     assert list(folder.iterdir()) == []
 
 
-@pytest.mark.parametrize(("words", "expected"), [("solve exam", "example4"), ("solve dam --algorithm al", "alg2")])
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [pytest.param("solve exam", "example4", marks=pytest.mark.slow), ("solve dam --algorithm al", "alg2")],
+)
 def test_shell_completion(words: str, expected: str):
     environment = {
         "COMP_WORDS": f"signorini {words}",
