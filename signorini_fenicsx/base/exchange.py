@@ -15,6 +15,7 @@ opened one below the other, none of them through a link, see `folder_below`: wha
 import contextlib
 import errno
 import fcntl
+import functools
 import itertools
 import json
 import os
@@ -22,7 +23,7 @@ import shutil
 import stat
 import time
 from collections.abc import Iterator, Set
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reading import text_of
@@ -99,7 +100,7 @@ def kind_of(at: int, name: str) -> int:
 
     A link is a link, whatever it leads to; what lies in a file or behind a link is nothing.
     """
-    *above, last = _parts(name) or [""]
+    *above, last = _parts(name) or ("",)
     try:
         with folder_below(at, "/".join(above)) as folder:
             return stat.S_IFMT(os.lstat(last, dir_fd=folder).st_mode)
@@ -402,9 +403,10 @@ def _in_the_way(path: Path, why: str) -> InputError:
     return InputError(f"output {path}: is in the way, as {why}; move it elsewhere")
 
 
-def _parts(name: str) -> list[str]:
-    """The parts of a name with slashes, as `PurePosixPath` has them, but fast."""
-    return [part for part in name.split("/") if part not in ("", ".")]
+@functools.cache
+def _parts(name: str) -> tuple[str, ...]:
+    """The parts of a name with slashes; the same names are asked for often."""
+    return PurePosixPath(name).parts
 
 
 def _with_those_above(name: str) -> list[str]:
@@ -415,7 +417,7 @@ def _with_those_above(name: str) -> list[str]:
 
 def _is_below(name: str) -> bool:
     parts = _parts(name)
-    return parts != [] and not name.startswith("/") and ".." not in parts and "\0" not in name
+    return parts != () and not name.startswith("/") and ".." not in parts and "\0" not in name
 
 
 def _write_list(folder: int, names: set[str]) -> None:
