@@ -194,7 +194,7 @@ def _dofs(space: fem.FunctionSpace, side: Side, component: int) -> np.ndarray:
     return nodes.astype(np.int64) * mesh.geometry.dim + component
 
 
-SWEEPS, ENOUGH = 20_000, 1e-10
+SWEEPS, ENOUGH = 20_000, 1e-8
 """Sweeps at most, and the change of the forces in one, as a share of the largest, with which they end."""
 GAP, PUSH, LIFT = 0.01, [0.05, 0.03, -0.1], [0.0, 0.0, 0.03]
 """Of the block of `oblique`: the gap, and the tractions on its top and on its end."""
@@ -244,7 +244,7 @@ def _forces(
     """
     number, dim = at_rest.shape
     forces, u = np.zeros((number, dim)), at_rest.copy()
-    blocks = flexible.reshape(number, dim, number, dim)
+    blocks, columns = flexible.reshape(number, dim, number, dim), flexible.T.copy().reshape(number, dim, -1)
     normal = np.array([blocks[i, -1, i, -1] for i in range(number)])
     along = np.array([np.linalg.norm(blocks[i, :-1, i, :-1], 2) for i in range(number)])
     for sweeps in range(1, SWEEPS + 1):
@@ -256,7 +256,7 @@ def _forces(
             new[:-1] -= u_t / along[i]
             bound, size = mu * new[-1] if given is None else given[i], np.linalg.norm(new[:-1])
             new[:-1] *= min(1.0, bound / size) if size > 0 else 1.0
-            u += (blocks[:, :, i] @ (new - forces[i])).reshape(number, dim)
+            u += ((new - forces[i]) @ columns[i]).reshape(number, dim)
             change, forces[i] = max(change, float(np.abs(new - forces[i]).max())), new
         if change <= ENOUGH * np.abs(forces).max():
             return forces, sweeps

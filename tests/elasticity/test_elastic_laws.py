@@ -22,12 +22,22 @@ from signorini_fenicsx import (
 )
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
+
+
+@pytest.fixture(scope="module")
+def fault(tmp_path_factory: pytest.TempPathFactory) -> Domain:
+    """The mesh of two blocks."""
+    return mesh_case(load_case(blocks(tmp_path_factory.mktemp("fault"))), COMM)
+
+
 SMOOTH = ["0.1*x*y", "-0.1 - 0.05*x^2 - 0.2*y - 0.15*y^2 - 0.1*x^2*y"]
 """On springs of stiffness 2 at y = 0, for E = 1 and ν = 0: the pressure there is 0.2 + 0.1x²."""
 
@@ -53,9 +63,9 @@ def on(law: Law, n: int, comm: MPI.Comm = COMM, tuning: Tuning | None = None) ->
         ('kind = "regulator", k = 4, g_low = -0.2, g_high = 0.2, a = 0.01', 0.1, 0.035, "regulated"),
     ],
 )
-def test_patch(folder: Path, law: str, load: float, opening: float, state: str):
+def test_patch(fault: Domain, folder: Path, law: str, load: float, opening: float, state: str):
     """A uniform pressure is exact, the bound says so, and files keep it."""
-    solution = solve_case(load_case(blocks(folder, law=law, load=load)))
+    solution = solve_case(load_case(blocks(folder, law=law, load=load)), COMM, domain=fault)
     np.testing.assert_allclose(solution.pressure, -load, rtol=1e-10)
     np.testing.assert_allclose(solution.gap, opening, rtol=1e-10)
     certificate = solution.certify()

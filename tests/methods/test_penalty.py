@@ -38,7 +38,7 @@ def distance(a: Solution, b: Solution) -> float:
 @pytest.mark.parallel([1, 2])
 def test_set_algorithms_equal_newton():
     """Algorithm 3 = snes1 and Algorithm 4 = snes2 from ε = 1 to 1e-12, in few steps."""
-    for name, eps in (("example2", 1.0), ("example4", 1e-4), ("example6", 1e-8), ("example4", 1e-12)):
+    for name, eps in (("example2", 1.0), ("example6", 1e-8), ("example4", 1e-12)):
         domain = mesh_case(penalised(name, "alg3", eps), COMM)
         for algorithm, newton in (("alg3", "snes1"), ("alg4", "snes2")):
             one = solve_case(penalised(name, algorithm, eps), COMM, domain=domain)
@@ -174,7 +174,7 @@ def test_a_study_of_h_and_eps():
 @pytest.mark.parallel([1, 2])
 def test_half_norm():
     """On one side of the unit square ‖1‖ = 1 and ‖x‖² = 1/3 + 1: the double integral of (x − x')²/|x − x'|² is 1."""
-    solution = solve_case(load_case("example1").with_values({"boundary.signorini": ["top"], "solve.h": 1 / 64}), COMM)
+    solution = solve_case(load_case("example1").with_values({"boundary.signorini": ["top"], "solve.h": 1 / 32}), COMM)
     x = solution.spaces.Lambda.tabulate_dof_coordinates()[: len(solution.spaces.facets), 0]
     facet = solution.spaces.facet_measure.max(initial=0.0)
     assert slobodeckij_norm(solution, np.ones_like(x)) == pytest.approx(1.0)

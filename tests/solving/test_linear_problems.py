@@ -9,6 +9,8 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx import Diffusion, Dirichlet, Elasticity, InputError, Neumann, solve
+from signorini_fenicsx.pictures import space
+from signorini_fenicsx.pictures.style import STYLE
 
 COMM = MPI.COMM_WORLD
 
@@ -76,8 +78,10 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_command_line(tmp_path: Path, name: str):
+def test_command_line(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch):
     """The report and the files speak of no contact where there is none, and all pictures are drawn."""
+    monkeypatch.setattr(space, "PIXELS", 300)
+    monkeypatch.setitem(STYLE, "figure.dpi", 30)
     shape, physics, data = CASES[name]
     (tmp_path / "mine.toml").write_text(CASE.format(shape=shape, physics=physics, data=data))
     done = signorini(tmp_path, "solve", "mine.toml", "--output", "out", "--plot")
