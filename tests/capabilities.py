@@ -180,8 +180,9 @@ def _methods() -> Iterator[Capability]:
         yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6", beside={"violation"})
     for case in ("example2", "friction", "sphere"):
         yield solved(case, *STRUCTURED, *MIXED, h="1/2", slow=case == "sphere")
+    yield solved("cube", "--element", "RT1", *STRUCTURED, h="1/2")
     for case, h in (("transition3d", "1/2"), ("regulator", "1/8"), ("sphere", "1/2"), ("phases", "1/8")):
-        yield solved(case, "--element", "RT1", *STRUCTURED, h=h, beside=PATH, slow=case == "sphere")
+        yield solved(case, "--element", "RT1", *STRUCTURED, h=h, beside=PATH, slow=case in ("sphere", "transition3d"))
     yield solved("fault", "--element", "RT1", beside=PATH)
     yield from (solved("fault", "--algorithm", *each, slow="qp" in each) for each in (("alg2", *MIXED), ("qp",)))
     yield solved("example4", *STRUCTURED, "--algorithm", "alg4", "--eps", "1e-3", "--for-signorini", h="1/8")
@@ -266,7 +267,7 @@ ON_THREE_RANKS = ("example2", "hertz")
 """Words in the names of capabilities that are also run on three ranks, each the first with it."""
 ON_TWO_RANKS = (
     *("example6", "dam_baiocchi", "block.toml", "space.toml", "read_off.toml", "pushed.toml"),
-    *("two_obstacles", "coulomb", "transition3d --h 1/2 --element", "fault --element", "snes2", "psor"),
+    *("two_obstacles", "coulomb", "cube --h 1/2 --element", "fault --element", "snes2", "psor"),
     *("mixed-uzawa-h12", "--backend mixed", "--rigorous", "restart of a storage", "problem.obstacle="),
     *("solve two_parts.toml", "solve crossed.toml", "solve reaction.toml", "solve springs.toml", "solve film.toml"),
     *("solve blocks.toml", "solve many.toml", "alg3", "snes1", "--algorithm vi", "qp", "--for-signorini"),

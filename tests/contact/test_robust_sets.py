@@ -215,8 +215,9 @@ def assert_as_alone(extent: str, *runs: tuple[str, str, str]) -> None:
 def test_extents():
     """Any size of Γ_S; u_D ≠ 0 without a load, and u_D = 0 where Γ_S meets Γ_D."""
     touching = "(1 - x)*x + y"
-    for extent in EXTENTS:
-        assert_as_alone(extent, ("0", "1/2 - x", "alg1"), ("-30", touching, "alg4"), ("-30", touching, "snes1"))
+    for number, extent in enumerate(EXTENTS):
+        algorithm = ("alg4", "snes1")[number % 2]
+        assert_as_alone(extent, ("0", "1/2 - x", "alg1"), ("-30", touching, algorithm))
 
 
 @pytest.mark.parallel([3, 4])

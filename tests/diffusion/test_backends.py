@@ -183,7 +183,6 @@ def test_snesvi_finds_the_same():
         assert len(vi.outcome.history) <= 15
 
 
-@pytest.mark.parallel(2)
 def test_bad_cells():
     """Aspect ratio 20 and obtuse angles slow CG down, but sets and fields are those of the saddle point."""
     tuning = Tuning(direct_up_to=0, predict_from=0)

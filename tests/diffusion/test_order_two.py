@@ -233,7 +233,7 @@ def test_quantities():
 
 
 @pytest.mark.parallel(3)
-@pytest.mark.parametrize("algorithm", ["alg1", "alg3"])
+@pytest.mark.parametrize("algorithm", [pytest.param("alg1", marks=pytest.mark.slow), "alg3"])
 def test_ranks_without_cells(algorithm: str):
     """Two cells on three ranks, with a kappa that varies within them."""
     problem = Diffusion(f="-1 - x", kappa="1 + x*y", c="y", conditions=[Signorini("bottom", psi="-x/10")])

@@ -57,7 +57,6 @@ def linear(matrix: np.ndarray) -> list[str]:
     return ["+".join(f"({float(c)!r})*{x}" for c, x in zip(row, "xyz", strict=False)) for row in matrix]
 
 
-@pytest.mark.parallel(2)
 @pytest.mark.parametrize(("dim", "plane"), [(2, "strain"), (2, "stress"), (3, "")])
 def test_patch(dim: int, plane: str):
     """A constant stress in an orthotropic body with ε₀ and σ₀ is found exactly, and so is its bound."""

@@ -18,6 +18,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx import InputError, adapt_case, compare, load_case, load_solution, solve_case
 from signorini_fenicsx.base import confined
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.meshes import file_worker
@@ -150,7 +151,7 @@ def test_xdmf_of_dolfinx(folder: Path):
         file.write_meshtags(sides, mesh.geometry)
         file.write_meshtags(regions, mesh.geometry)
     COMM.Barrier()
-    read = read_mesh_file(str(folder / "square.xdmf"))
+    read = on_root(COMM, lambda: read_mesh_file(str(folder / "square.xdmf")))
     assert read.parts.keys() == {"7", "8"}
     assert np.all(read.points[read.parts["7"]][..., 1] == 0)
     assert len(read.parts["7"]) == COMM.allreduce(len(domain.facets["bottom"]))
