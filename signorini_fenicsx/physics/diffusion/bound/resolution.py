@@ -73,7 +73,7 @@ class Resolution:
         data: The data.
         error: Rough size of the error in the energy norm.
         volume: |Ω|.
-        returns: Whether data are those of many problems, such as of all steps: then what is proved of them is kept.
+        returns: Whether data are those of many problems, such as of all steps: then what is made of them returns.
         by_quadrature: Data without enclosures: those given in Python, and loads if there is no Γ_D for their means.
         unresolved: Data with a place each that are not resolved, on this rank.
         coarse: Mask of the owned cells with such places.
@@ -185,8 +185,6 @@ class Resolution:
 
     def _enclosed(self, tree: Tree, vertices: Array, seen: Rest, weight: Array) -> tuple[Array, Array]:
         """Root mean square and the ends of the mean of a tree minus p, with the weights of `means` (collective)."""
-        if not self.returns:
-            return self._newly_enclosed(tree, vertices, seen, weight)
         p = [getattr(seen.p, each.name) for each in fields(seen.p)]
         arrays = [np.asarray(each) for each in (*p, vertices, seen.norm, seen.mean, weight)]
         kept, comm = self.spaces.kept_results, self.spaces.mesh.comm
