@@ -57,7 +57,9 @@ def check_near(solution: ElasticSolution, monkeypatch: pytest.MonkeyPatch) -> No
     assert all(least * (1 - 1e-5) <= bound <= 1.005 * least for bound in found)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "in space")) for name in CASES]
+)
 def test_few_solves_are_enough(name: str, monkeypatch: pytest.MonkeyPatch):
     """In the plane and in space, with friction, and towards ν = ½."""
     dim, n, given = CASES[name]

@@ -220,7 +220,13 @@ def test_bounds_of_random_problems():
             "0.07 + 0.125*((x - 0.85)^2 + (y - 0.2)^2)",
             0.07,
         ),
-        (["0.4613", "-0.7755"], None, "0.011 + 0.127*((x - 0.92)^2 + (y - 0.48)^2)", 0.06),
+        pytest.param(
+            ["0.4613", "-0.7755"],
+            None,
+            "0.011 + 0.127*((x - 0.92)^2 + (y - 0.48)^2)",
+            0.06,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_corners_that_quadratics_miss(f: list[str], g_N: list[str] | None, gap: str, g: float):

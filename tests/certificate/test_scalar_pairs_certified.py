@@ -97,7 +97,12 @@ def test_beside_finer_meshes(name: str, dim: int, left: float, most: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("name", "held"), [*((name, "") for name in LAWS if name != "wall"), ("tied", HELD), ("friction", HELD)]
+    ("name", "held"),
+    [
+        *((name, "") for name in ("tied", "contact", "between")),
+        *(pytest.param(name, "", marks=pytest.mark.slow) for name in ("stiff", "regulator", "friction")),
+        *((name, HELD) for name in ("tied", "friction")),
+    ],
 )
 def test_a_matching_mesh_as_one_cut_inside(name: str, held: str) -> None:
     """Where both surfaces have the same facets the bound is that of a part inside the domain.
