@@ -117,7 +117,7 @@ def check_means(name: str, where: str, means: Array, spaces: MeshSpaces) -> None
 
 def check_cells(name: str, means: Array, spaces: MeshSpaces) -> None:
     """Make sure of means in the owned cells, see `check_means` (collective)."""
-    where, wrong = "in the domain", ~np.isfinite(means).reshape(len(means), -1).all(axis=1)
+    where, wrong = "in the domain", ~np.isfinite(means).all(axis=tuple(range(1, means.ndim)))
     if spaces.mesh.comm.allreduce(bool(wrong.any()), op=MPI.LOR):
         where += near_first(spaces, wrong)
     check_means(name, where, means, spaces)
