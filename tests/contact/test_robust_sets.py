@@ -7,7 +7,18 @@ import pytest
 from mpi4py import MPI
 from own_mesh import Array, Mask, own_domain
 
-from signorini_fenicsx import Diffusion, Domain, NumericalFailure, Options, Signorini, load_case, solve, solve_case
+from signorini_fenicsx import (
+    Contact,
+    Diffusion,
+    Domain,
+    Elasticity,
+    NumericalFailure,
+    Options,
+    Signorini,
+    load_case,
+    solve,
+    solve_case,
+)
 from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
@@ -225,6 +236,9 @@ def test_ranks_without_cells():
     algorithms = ("alg3", "vi", "uzawa", "primal-pdas", "qp")
     assert_as_alone("two cells", *(("50*(x - 0.3)", "x*y", algorithm) for algorithm in algorithms))
     assert_as_alone("one facet", ("50*(x - 0.3)", "x*y", "primal-penalty"), ("50*(x - 0.3)", "x*y", "mixed-uzawa2"))
+    body = Elasticity(young=1.0, poisson=0.3, f=["0", "-x"], conditions=[Contact("bottom")])
+    together, alone = (solve(square(comm, 1, "right", part=BOTTOM), body).norms() for comm in (COMM, MPI.COMM_SELF))
+    assert together == pytest.approx(alone, rel=1e-10)
 
 
 @pytest.mark.parallel(2)

@@ -395,7 +395,8 @@ def check_material(spaces: MeshSpaces, material: Material, blocks: Iterable[Cell
         for key, values in material.looked_at(points):
             (low, high), values = extremes.get(key, (np.inf, -np.inf)), np.nan_to_num(values, nan=-np.inf)
             extremes[key] = min(low, float(values.min(initial=np.inf))), max(high, float(values.max(initial=-np.inf)))
-    ends = {key: extent(np.array(pair), spaces.mesh.comm) for key, pair in extremes.items()}
+    seen = {key: np.array(pair if pair[0] <= pair[1] else []) for key, pair in extremes.items()}  # none without cells
+    ends = {key: extent(values, spaces.mesh.comm) for key, values in seen.items()}
     for key in ("viscosity", "young", "poisson", "shear", "energy", "axes"):
         if key in ends:
             _check_ends(key, *ends[key])
