@@ -151,11 +151,14 @@ def bisected(
     return fine, parents[order], facets.reshape(-1, dim + 1)[order]
 
 
-def owned_by_one(cells: npt.NDArray[np.int32], points: Array) -> dolfinx.geometry.PointOwnershipData:
-    """On one rank, in which cells points are, shape (n, 3), with −1 for none."""
-    within = cells >= 0
-    ranks = np.zeros(np.count_nonzero(within), dtype=np.int32)
-    found = np.where(within, 0, -1).astype(np.int32), ranks, points[within].ravel(), cells[within]
+def owned_points(
+    src_owner: npt.NDArray[np.int32],
+    dest_owner: npt.NDArray[np.int32],
+    dest_points: Array,
+    dest_cells: npt.NDArray[np.int32],
+) -> dolfinx.geometry.PointOwnershipData:
+    """DOLFINx's record of the ranks and cells in which points are, shape (n, 3)."""
+    found = src_owner, dest_owner, dest_points.ravel(), dest_cells
     return dolfinx.geometry.PointOwnershipData(cpp.geometry.PointOwnershipData_float64(*found))
 
 
