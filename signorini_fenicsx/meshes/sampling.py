@@ -142,8 +142,7 @@ def _search(
 ) -> dolfinx.geometry.PointOwnershipData:
     """The cells of a mesh in a frame in which the points of some cells of another mesh are (collective)."""
     mesh = samples.mesh
-    aside = np.where(np.arange(3) < mesh.geometry.dim, ASIDE, 0.0) * (mesh.topology.dim == mesh.geometry.dim)
-    before = mesh.geometry.x.copy()
+    aside, before = _aside(mesh), mesh.geometry.x.copy()
     mesh.geometry.x[:] += aside
     try:
         if mesh.comm.size > 1:
@@ -187,6 +186,11 @@ def _search_by_cells(
     cell, within = owners.ravel(), owners.ravel() >= 0
     rank = np.where(within, 0, -1).astype(np.int32)
     return fenicsx.owned_points(rank, rank[within], x.reshape(-1, 3)[within], cell[within])
+
+
+def _aside(mesh: dolfinx.mesh.Mesh) -> Array:
+    """The step `ASIDE` in the space of a mesh, shape (3,); 0 for facets, which it would leave."""
+    return np.where(np.arange(3) < mesh.geometry.dim, ASIDE, 0.0) * (mesh.topology.dim == mesh.geometry.dim)
 
 
 def _search_points(
@@ -244,7 +248,8 @@ def at_points(domain: Domain, function: fem.Function, points: npt.ArrayLike) -> 
         points: Points of this rank, shape (n, dim); their cells may be on any rank.
 
     Returns:
-        The values, shape (n, *shape of a value): NaN outside the mesh, and those in one cell where several meet.
+        The values, shape (n, *shape of a value): NaN outside the mesh; where cells meet, those of one of them, the
+        same on any number of ranks.
 
     Raises:
         InputError: On all ranks, if the points of one of them have another shape.
@@ -254,11 +259,14 @@ def at_points(domain: Domain, function: fem.Function, points: npt.ArrayLike) -> 
     inside = np.isfinite(wanted).all(axis=1)
     padding = AT_BOUNDARY * float(np.ptp(domain.box(), axis=0).max())
     with of_unit_size(domain, domain.mesh) as frame:
-        near_0 = frame.of(wanted[inside])
+        near_0, aside = frame.of(wanted[inside]), _aside(domain.mesh)
         owners = dolfinx.geometry.determine_point_ownership(domain.mesh, near_0, frame.factor * padding)
-    inside[inside] = owners.src_owner >= 0
-    places = [np.flatnonzero(inside)[owners.src_owner[owners.src_owner >= 0] == rank] for rank in range(comm.size)]
-    of_owners = function.eval(frame.back(owners.dest_points), owners.dest_cells).reshape(-1, *function.ufl_shape)
+        inside[inside] = owners.src_owner >= 0
+        near_0 = near_0[owners.src_owner >= 0] + aside
+        owners = dolfinx.geometry.determine_point_ownership(domain.mesh, near_0, 2 * float(ASIDE.max()))
+    places = [np.flatnonzero(inside)[owners.src_owner == rank] for rank in range(comm.size)]
+    x = frame.back(owners.dest_points - aside)
+    of_owners = function.eval(x, owners.dest_cells).reshape(-1, *function.ufl_shape)
     answers = comm.alltoall([of_owners[owners.dest_owner == rank] for rank in range(comm.size)])
     values = np.full((len(wanted), *function.ufl_shape), np.nan)
     for place, answer in zip(places, answers, strict=True):
