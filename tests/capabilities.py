@@ -269,7 +269,8 @@ ON_TWO_RANKS = (
     *("coulomb", "cube --h 1/2 --element", "fault --element", "snes2", "psor", "mixed-uzawa-h12", "--backend mixed"),
     *("--rigorous", "restart of a storage", "problem.obstacle=", "solve two_parts.toml", "solve crossed.toml"),
     *("solve reaction.toml", "solve springs.toml", "solve film.toml", "solve blocks.toml", "solve many.toml", "alg3"),
-    *("snes1", "--algorithm vi", "qp", "--for-signorini", "solve.max_iterations=1", "--start-from", "export out"),
+    *("snes1", "--algorithm vi", "qp", "--for-signorini", "solve.max_iterations=1", "--start-from"),
+    *("export out", "compare hertz of", "compare example2 of"),
 )
 """Words in the names of others that are also run on two, as many as there are cores, which takes half the time."""
 

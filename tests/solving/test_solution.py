@@ -33,9 +33,9 @@ WALLS = {
 }
 
 
-def solved(f: str = "40*(x - 0.6)", n: int = 8, g_N: float = 0.0) -> Solution:
+def solved(f: str = "40*(x - 0.6)", n: int = 8, g_N: float = 0.0, comm: MPI.Intracomm = COMM) -> Solution:
     """On a square with Γ_S below and Γ_N on the right."""
-    square = mesh.create_unit_square(COMM, n, n)
+    square = mesh.create_unit_square(comm, n, n)
     return solve(
         domain_of(square, WALLS),
         Diffusion(f=f, conditions=[Signorini("bottom", "0.1*x - 0.05"), Neumann("right", g_N)]),
@@ -68,6 +68,8 @@ def test_values_at_points_of_any_rank():
     outside = [[0.3, 0.4], [1.001, 0.5], [np.nan, 0.5], [0.5, -3], [1.0, 1.0]] if COMM.rank == 0 else []
     found = np.isfinite(solution.at(outside).u)
     assert found.tolist() == ([True, False, False, False, True] if COMM.rank == 0 else [])
+    lines = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 9)]), axis=-1).reshape(-1, 2)  # each in several cells
+    np.testing.assert_allclose(solution.at(lines).u, solved(comm=MPI.COMM_SELF).at(lines).u, atol=1e-12)
     for wrong in ([0.5, 0.5], [[1, 2, 3]], [["a", "b"]], [[1], [2, 3]]):
         with pytest.raises(InputError, match=r"points: must be an array of shape \(n, 2\), a row for each point"):
             solution.at(wrong if COMM.rank == 0 else [[0.5, 0.5]])
