@@ -52,9 +52,9 @@ STOPS = {"relative", "oscillation", "bound", "sigma_bound"}
 """Names of numbers with enclosures, which stop where they are sharp enough: rounding decides about the last one."""
 FREE = {f"{side}_force_{axis}" for side in ("left", "right") for axis in "xy"}
 """Names of the forces on sides without loads: 0 but for rounding."""
-PATH = {"changed", "zero_trace", "no_flux", "robin", "sigma_change", "u_change"}
-"""Names of numbers of steps on the way to the solution."""
-STRUCTURED, MIXED = ("--set", "geometry.mesh=structured"), ("--backend", "mixed")
+PATH, WAY = {"changed", "zero_trace", "no_flux", "robin", "sigma_change", "u_change"}, {"history.csv", "iterations"}
+"""Names of numbers of steps on the way to the solution, and of all of it where rounding decides how long it is."""
+STRUCTURED, MIXED, RT1 = ("--set", "geometry.mesh=structured"), ("--backend", "mixed"), ("--element", "RT1")
 BY_GMSH = ("example3", "example6", "crack", "ball", "clamp", "two_cylinders", "rock", "stack", "mindlin", "many")
 BY_GMSH += ("example1 --h 0.03", "example1 --h 0.06", "roller", "press_fit", "earth_dam", "sliding_block")
 BY_GMSH += ("lap_joint", "two_spheres", "cylinders", "heat_sink")
@@ -164,7 +164,7 @@ def _shipped() -> Iterator[Capability]:
     yield own("film", "--certify-steps")
     off = {"mass_error", "content_change", "kappa_change", "kappa_energy_change"}  # rounding
     yield solved("celia", *STRUCTURED, *few, "--set", "time.end=14400", h="20", beside=off)
-    yield solved("celia", "--element", "RT1", *STRUCTURED, *two, "--set", "time.end=14400", h="20", beside=off)
+    yield solved("celia", *RT1, *STRUCTURED, *two, "--set", "time.end=14400", h="20", beside=off)
     yield from (solved(case, *few, h="1/8") for case in ("melting", "thawing", "oxygen", "soil"))
 
 
@@ -179,10 +179,10 @@ def _methods() -> Iterator[Capability]:
         yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6", beside={"violation"})
     for case in ("example2", "friction", "sphere"):
         yield solved(case, *STRUCTURED, *MIXED, h="1/2", slow=case == "sphere")
-    yield solved("cube", "--element", "RT1", *STRUCTURED, h="1/2")
-    for case, h in (("transition3d", "1/2"), ("regulator", "1/8"), ("sphere", "1/2"), ("phases", "1/8")):
-        yield solved(case, "--element", "RT1", *STRUCTURED, h=h, beside=PATH, slow=case in ("sphere", "transition3d"))
-    yield solved("fault", "--element", "RT1", beside=PATH)
+    yield solved("cube", *RT1, *STRUCTURED, h="1/2")
+    for case, h in (("transition3d", "1/2"), ("regulator", "1/8"), ("sphere", "1/2")):
+        yield solved(case, *RT1, *STRUCTURED, h=h, beside=PATH, slow=case in ("sphere", "transition3d"))
+    yield from (solved("fault", *RT1, beside=PATH), solved("phases", *RT1, *STRUCTURED, h="1/8", beside=WAY))
     yield from (solved("fault", "--algorithm", *each, slow="qp" in each) for each in (("alg2", *MIXED), ("qp",)))
     yield solved("example4", *STRUCTURED, "--algorithm", "alg4", "--eps", "1e-3", "--for-signorini", h="1/8")
     yield solved("hertz", *STRUCTURED, "--algorithm", "alg2", h="1/8")
